@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <map>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "meshing/core/grid_frame.h"
+#include "meshing/distance/distance_field.h"
+#include "meshing/shell/shell_volume.h"
+#include "meshing/shell/two_level_grid.h"
+
+namespace shellgrid {
+
+using AnyGrid = std::variant<TwoLevelGrid<float>, TwoLevelGrid<std::int32_t>, TwoLevelGrid<Vec3f>>;
+
+// What one .vdb file holds: named grids in one frame, and metadata as text (numbers and vectors are
+// written with enough digits to come back exactly).
+struct VdbArchive {
+  struct Entry {
+    std::string name;
+    AnyGrid grid;
+  };
+  GridFrame frame;
+  std::vector<Entry> grids;
+  std::map<std::string, std::string> metadata;
+
+  // Throws: InputError "PATH: no grid NAME of that type" where it is missing.
+  template <class T>
+  const TwoLevelGrid<T>& get(const std::string& name) const;
+};
+
+// Reads every float, int32 and vec3s grid of an OpenVDB file; other grids are skipped. Files that
+// this project did not write are validated in a child process with limits first, because the library
+// may crash on corrupt ones.
+// Throws: InputError for a missing, empty, truncated or corrupt file, one that is not OpenVDB, a
+// transform that is not uniform scale and translation.
+VdbArchive read_vdb(const std::string& path);
+
+// Writes an OpenVDB file whose leaves are the grids' leaves. Same grids, same bytes: the file's id is
+// a hash of its content. Written atomically.
+void write_vdb(const std::string& path, const VdbArchive& archive);
+
+DistanceField read_distance_field(const std::string& path);
+void write_distance_field(const std::string& path, const DistanceField& field);
+ShellVolume read_shell_volume(const std::string& path);
+void write_shell_volume(const std::string& path, const ShellVolume& shell);
+
+// The isosurface of a float grid as a closed triangle mesh, by OpenVDB's volumeToMesh.
+TriangleMesh extract_isosurface(const TwoLevelGrid<float>& grid, const GridFrame& frame, double isovalue);
+
+}  // namespace shellgrid

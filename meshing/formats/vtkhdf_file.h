@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <cstdint>
+#include <map>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "meshing/core/vec.h"
+#include "meshing/polycube/polygrid.h"
+
+namespace shellgrid {
+
+// A named array of rows × columns.
+struct DataArray {
+  std::string name;
+  int columns = 1;
+  std::variant<std::vector<float>, std::vector<double>, std::vector<std::int32_t>, std::vector<std::int64_t>,
+               std::vector<std::uint8_t>>
+      values;
+};
+
+// What one VTKHDF file holds (static UnstructuredGrid, Version [1, 0]): ParaView, VTK and h5py open it.
+// Source: VTKHDF file format, https://docs.vtk.org.
+struct UnstructuredGrid {
+  VertexMatrix points;                     // n×3, mm
+  std::vector<std::int64_t> connectivity;  // point indices, cell after cell
+  std::vector<std::int64_t> offsets;       // m + 1
+  std::vector<std::uint8_t> types;         // m: 10 tetrahedron, 12 hexahedron, 9 quadrilateral
+  std::vector<DataArray> point_data, cell_data, field_data;
+  std::map<std::string, double> attributes;  // scalars in the file's FieldData group, as arrays of one
+
+  const DataArray* find_point(const std::string& name) const;
+  const DataArray* find_cell(const std::string& name) const;
+  const DataArray* find_field(const std::string& name) const;
+};
+
+// Throws: InputError for a missing, truncated or foreign file, lengths that disagree, an index out of range.
+UnstructuredGrid read_vtkhdf(const std::string& path);
+// Same grid, same bytes (object times are off). Written atomically.
+void write_vtkhdf(const std::string& path, const UnstructuredGrid& grid);
+
+// The tetrahedral mesh of `tets.hdf`.
+struct TetrahedralMesh {
+  VertexMatrix points;   // n×3, mm
+  TetMatrix tetrahedra;  // m×4, positive volumes
+};
+TetrahedralMesh read_tetrahedra(const std::string& path);
+void write_tetrahedra(const std::string& path, const TetrahedralMesh& mesh);
+
+Polygrid read_polygrid(const std::string& path);
+void write_polygrid(const std::string& path, const Polygrid& polygrid);
+
+}  // namespace shellgrid

@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "meshing/core/vec.h"
+
+namespace shellgrid {
+
+// Two-level sparse grid: a dense top array whose cells are null or hold a leaf of 8×8×8 samples.
+// Source: [STF §6, fig. 5b].
+//
+// A sample is active or holds the background. Within a leaf the sample (x, y, z) stands at
+// (x·8 + y)·8 + z, which is OpenVDB's order. Allocation is not thread-safe; writing to distinct
+// leaves is.
+template <class T>
+class TwoLevelGrid {
+ public:
+  static constexpr int leaf_edge = 8;
+  static constexpr int leaf_size = 512;
+  using Mask = std::array<std::uint64_t, 8>;  // bit n of the leaf's sample n
+
+  TwoLevelGrid() = default;
+
+  // An empty grid that may hold samples with leaf coordinates in [lower_leaf, lower_leaf + leaf_counts).
+  TwoLevelGrid(const Vec3i& lower_leaf, const Vec3i& leaf_counts, const T& background)
+      : lower_leaf_(lower_leaf),
+        leaf_counts_(leaf_counts),
+        background_(background),
+        top_(static_cast<std::size_t>(leaf_counts.x()) * leaf_counts.y() * leaf_counts.z(), null_leaf) {}
+
+  // Leaf coordinates of the leaf that holds a sample: floor(index / 8).
+  static Vec3i leaf_of(int i, int j, int k) { return {i >> 3, j >> 3, k >> 3}; }
+  static int offset_of(int i, int j, int k) { return ((i & 7) << 6) | ((j & 7) << 3) | (k & 7); }
+
+  const Vec3i& lower_leaf() const { return lower_leaf_; }
+  const Vec3i& leaf_counts() const { return leaf_counts_; }
+  const T& background() const { return background_; }
+  int leaf_count() const { return static_cast<int>(leaf_coordinates_.size()); }
+
+  // Index of the leaf with these leaf coordinates, or -1 where none is allocated.
+  int find_leaf(const Vec3i& leaf) const {
+    const Vec3i local = leaf - lower_leaf_;
+    if (static_cast<unsigned>(local.x()) >= static_cast<unsigned>(leaf_counts_.x()) ||
+        static_cast<unsigned>(local.y()) >= static_cast<unsigned>(leaf_counts_.y()) ||
+        static_cast<unsigned>(local.z()) >= static_cast<unsigned>(leaf_counts_.z()))
+      return null_leaf;
+    return top_[top_index(local)];
+  }
+
+  // The leaf's index; allocates it, filled with inactive background, where it is missing. The leaf
+  // must lie in the grid's bounds.
+  int allocate_leaf(const Vec3i& leaf) {
+    std::int32_t& entry = top_[top_index(leaf - lower_leaf_)];
+    if (entry == null_leaf) {
+      entry = static_cast<std::int32_t>(leaf_coordinates_.size());
+      leaf_coordinates_.push_back(leaf);
+      masks_.push_back(Mask{});
+      values_.resize(values_.size() + leaf_size, background_);
+    }
+    return entry;
+  }
+
+  Vec3i leaf_coordinate(int leaf_index) const { return leaf_coordinates_[leaf_index]; }
+  T* leaf_values(int leaf_index) { return values_.data() + static_cast<std::size_t>(leaf_index) * leaf_size; }
+  const T* leaf_values(int leaf_index) const {
+    return values_.data() + static_cast<std::size_t>(leaf_index) * leaf_size;
+  }
+  Mask& leaf_mask(int leaf_index) { return masks_[leaf_index]; }
+  const Mask& leaf_mask(int leaf_index) const { return masks_[leaf_index]; }
+  static bool mask_test(const Mask& mask, int offset) { return (mask[offset >> 6] >> (offset & 63)) & 1u; }
+  static void mask_set(Mask& mask, int offset) { mask[offset >> 6] |= std::uint64_t{1} << (offset & 63); }
+
+  bool contains_leaf(const Vec3i& leaf) const {
+    return ((leaf - lower_leaf_).array() >= 0).all() && ((leaf - lower_leaf_).array() < leaf_counts_.array()).all();
+  }
+
+  // Sets one sample and makes it active.
+  void set(int i, int j, int k, const T& value) {
+    const int leaf_index = allocate_leaf(leaf_of(i, j, k));
+    const int offset = offset_of(i, j, k);
+    leaf_values(leaf_index)[offset] = value;
+    mask_set(masks_[leaf_index], offset);
+  }
+
+  // The sample, or the background.
+  const T& value(int i, int j, int k) const {
+    const int leaf_index = find_leaf(leaf_of(i, j, k));
+    return leaf_index < 0 ? background_ : leaf_values(leaf_index)[offset_of(i, j, k)];
+  }
+
+  bool is_active(int i, int j, int k) const {
+    const int leaf_index = find_leaf(leaf_of(i, j, k));
+    return leaf_index >= 0 && mask_test(masks_[leaf_index], offset_of(i, j, k));
+  }
+
+  std::size_t active_count() const {
+    std::size_t count = 0;
+    for (const Mask& mask : masks_)
+      for (std::uint64_t word : mask) count += static_cast<std::size_t>(__builtin_popcountll(word));
+    return count;
+  }
+
+  // Calls visit(i, j, k, value) for each active sample, leaf by leaf.
+  template <class Visit>
+  void for_each_active(const Visit& visit) const {
+    for (int leaf_index = 0; leaf_index < leaf_count(); ++leaf_index) {
+      const Vec3i base = leaf_coordinates_[leaf_index] * leaf_edge;
+      for (int offset = 0; offset < leaf_size; ++offset)
+        if (mask_test(masks_[leaf_index], offset))
+          visit(base.x() + (offset >> 6), base.y() + ((offset >> 3) & 7), base.z() + (offset & 7),
+                leaf_values(leaf_index)[offset]);
+    }
+  }
+
+  std::size_t bytes() const {
+    return top_.size() * sizeof(std::int32_t) + values_.size() * sizeof(T) + masks_.size() * sizeof(Mask) +
+           leaf_coordinates_.size() * sizeof(Vec3i);
+  }
+
+ private:
+  static constexpr std::int32_t null_leaf = -1;
+
+  std::size_t top_index(const Vec3i& local) const {
+    return (static_cast<std::size_t>(local.x()) * leaf_counts_.y() + local.y()) * leaf_counts_.z() + local.z();
+  }
+
+  Vec3i lower_leaf_ = Vec3i::Zero();
+  Vec3i leaf_counts_ = Vec3i::Zero();
+  T background_{};
+  std::vector<std::int32_t> top_;
+  std::vector<Vec3i> leaf_coordinates_;
+  std::vector<Mask> masks_;
+  std::vector<T> values_;
+};
+
+}  // namespace shellgrid

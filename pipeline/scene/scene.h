@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// The scene file: what is shown, of what, under which light, from where, by which method.
+#pragma once
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "meshing/core/material.h"
+#include "solvers/render/camera.h"
+#include "solvers/render/lights.h"
+
+namespace shellgrid {
+
+struct SceneObject {
+  std::string mesh;  // path, resolved against the scene file's folder
+  double size = 80;  // longest edge of its bounding box, mm; 0 keeps the file's units as mm
+  double ior = 1.5;  // refractive index inside over outside, ≥ 1
+  bool close_holes = false;
+};
+
+struct ShellMaterial {
+  std::string sample;    // path of the sample description or .vdb
+  double thickness = 4;  // mm
+  double voxel = 0.4;    // d_0, mm
+};
+
+struct BottomLayerCore {};  // the mean of the sample's bottom layer
+struct OpaqueMaterial {
+  Rgb reflectance = Rgb::Constant(0.5f);  // diffuse, 0 … 1
+};
+
+struct SceneMaterial {
+  std::optional<ShellMaterial> shell;            // absent: homogeneous or opaque
+  std::variant<BottomLayerCore, Material> core;  // the homogeneous part
+  std::optional<OpaqueMaterial> opaque;          // excludes shell and core
+};
+
+struct SceneMethod {
+  std::string type = "polygrid-diffusion";
+  double nodes = 1e5;                      // of the polygrid
+  double tolerance = 0.005;                // relative error of the exitance
+  std::string operator_name = "elements";  // or "paper"
+  std::string source = "boundary";         // or "first-collision"
+  int samples_per_pixel = 16;
+};
+
+// Sections that a stage does not need may be missing from its slice of the scene.
+struct Scene {
+  std::string path;  // of the file itself
+  std::optional<SceneObject> object;
+  std::optional<SceneMaterial> material;
+  std::vector<Light> lights;
+  std::optional<Camera> camera;
+  SceneMethod method;
+};
+
+// Reads and checks a scene (JSON, comments allowed). Paths in it become relative to the working folder.
+// Throws: InputError for what is not JSON, an unknown key (named with its place and the nearest known
+// key), a wrong type, a value out of range, a missing file.
+Scene read_scene(const std::string& path);
+
+}  // namespace shellgrid
