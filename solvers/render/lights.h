@@ -22,7 +22,7 @@ struct PointLight {
 };
 
 // Radiance from infinitely far away, W mm⁻² sr⁻¹: either an equirectangular picture or a sky of
-// smooth gradients with soft round lamps on it.
+// smooth gradients, and soft round lamps on it.
 struct EnvironmentLight {
   struct Lamp {
     Vec3 direction = Vec3(0, 0, 1);  // towards the lamp, unit
@@ -33,12 +33,39 @@ struct EnvironmentLight {
   Vec3 up = Vec3(0, 1, 0);
   Rgb zenith = Rgb::Zero(), horizon = Rgb::Zero(), ground = Rgb::Zero();
   std::vector<Lamp> lamps;
-  // Equirectangular; top row is `up`, the middle column is −z (or the scene's fallback when up is z). Null: the sky
+  // Equirectangular; top row is `up`, the middle column is −z (+x where up is ±z). Null: the sky
   // above. Scaled by `scale`.
   std::shared_ptr<const Image> image;
   Rgb scale = Rgb::Ones();
 };
 
 using Light = std::variant<DirectionalLight, PointLight, EnvironmentLight>;
+
+// Radiance that arrives from `direction` (unit, towards the sky): sky or picture (bilinear), and lamps.
+Rgb radiance(const EnvironmentLight& environment, const Vec3& direction);
+
+// The environment as parallel lights, each with the energy ∫ L dω of its part of the sphere: the sky by a
+// spherical Fibonacci set, each lamp by its own set of equal solid angles, a picture by median cuts.
+// About `count` lights, at least 8 for each lamp; parts that shine nothing get none. The same environment and count
+// give the same lights.
+// Source: [Debevec2005 §3] for pictures.
+// Throws: InputError if the picture lacks R, G or B, or holds a negative or non-finite value.
+std::vector<DirectionalLight> directional_lights(const EnvironmentLight& environment, int count);
+
+// Light that reaches a point from one direction.
+struct IncidentBeam {
+  Vec3 direction = Vec3(0, 0, 1);  // towards the light, unit
+  double distance = 0;             // to the light, mm; infinite for parallel light
+  Rgb irradiance = Rgb::Zero();    // on a plane that faces the light, W mm⁻²
+};
+IncidentBeam incident_beam(const DirectionalLight& light, const Vec3& point);
+IncidentBeam incident_beam(const PointLight& light, const Vec3& point);
+
+// A light that comes from one direction at each point.
+using SimpleLight = std::variant<DirectionalLight, PointLight>;
+IncidentBeam incident_beam(const SimpleLight& light, const Vec3& point);
+
+// All lights as simple ones: environments become about `environment_samples` parallel lights each.
+std::vector<SimpleLight> simple_lights(const std::vector<Light>& lights, int environment_samples);
 
 }  // namespace shellgrid
