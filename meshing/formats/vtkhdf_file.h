@@ -6,6 +6,7 @@
 #include <variant>
 #include <vector>
 
+#include "meshing/core/tetrahedral_mesh.h"
 #include "meshing/core/vec.h"
 #include "meshing/polycube/polygrid.h"
 
@@ -41,10 +42,6 @@ UnstructuredGrid read_vtkhdf(const std::string& path);
 void write_vtkhdf(const std::string& path, const UnstructuredGrid& grid);
 
 // The tetrahedral mesh of `tets.hdf`.
-struct TetrahedralMesh {
-  VertexMatrix points;   // n×3, mm
-  TetMatrix tetrahedra;  // m×4, positive volumes
-};
 TetrahedralMesh read_tetrahedra(const std::string& path);
 void write_tetrahedra(const std::string& path, const TetrahedralMesh& mesh);
 
