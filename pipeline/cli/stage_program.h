@@ -25,10 +25,13 @@ class StageRun {
   virtual int threads() const = 0;
   virtual std::uint64_t seed() const = 0;
   virtual const std::string& output() const = 0;  // -o, or empty
+  // Ends the program with this exit code after the record is written; for comparisons that fail.
+  virtual void exit_with(int code) = 0;
 };
 
 // One program `sg-NAME INPUT… -o OUTPUT [options]`. Declare, then run. The record `OUTPUT.json` holds:
-// stage version command inputs[{path bytes xxh64}] options threads seconds{…} peak_memory_mib results{…} warnings[].
+// stage version command inputs[{path bytes xxh64}] outputs[{path bytes xxh64}] options threads seconds{…}
+// peak_memory_mib results{…} warnings[].
 class StageProgram {
  public:
   StageProgram(const std::string& name, const std::string& summary);
@@ -37,8 +40,12 @@ class StageProgram {
   // A required input file, positional, in order. `optional` ones may be left out and stay empty.
   void input(const std::string& name, std::string& path, const std::string& help, bool optional = false);
   void inputs(const std::string& name, std::vector<std::string>& paths, const std::string& help);
+  // An input that is a folder.
+  void input_folder(const std::string& name, std::string& path, const std::string& help, bool optional = false);
   // The primary output; -o is required unless `optional`.
   void output(const std::string& example, const std::string& help, bool optional = false);
+  // The output is a folder, made where it is missing; no record is written beside it.
+  void output_folder(const std::string& example, const std::string& help, bool optional = false);
   // An option with its present value as default. Numbers may be written 1e5. Ranges are inclusive.
   void option(const std::string& flag, double& value, const std::string& unit, const std::string& help,
               double least = -1e300, double most = 1e300);
@@ -46,8 +53,13 @@ class StageProgram {
               int least = -2147483647, int most = 2147483647);
   void option(const std::string& flag, std::string& value, const std::string& help,
               const std::vector<std::string>& choices = {});
+  // Numbers `r,g,b`; as many as `values` holds, or three where it is empty and the option has no default.
+  void option(const std::string& flag, std::vector<double>& values, const std::string& unit, const std::string& help,
+              double least = -1e300, double most = 1e300);
   void flag(const std::string& flag, bool& value, const std::string& help);
   void example(const std::string& command, const std::string& what);
+  // Whether an option was on the command line; to be asked inside `body`.
+  bool given(const std::string& flag) const;
 
   // Parses, runs `body`, writes the record, returns the exit code: 0 done, 1 internal fault, 2 usage,
   // 3 bad or missing input, 4 numerical failure; one line on stderr: `sg-NAME: error: …`.

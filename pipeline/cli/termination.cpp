@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "pipeline/cli/termination.h"
+
+#include <signal.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <string>
+#include <thread>
+
+namespace shellgrid {
+
+void clean_up_on_termination(const std::vector<std::string>& folders) {
+  // A signal handler may do next to nothing; a thread that waits for the signals may do anything.
+  sigset_t signals;
+  sigemptyset(&signals);
+  for (const int number : {SIGTERM, SIGINT, SIGHUP}) sigaddset(&signals, number);
+  if (pthread_sigmask(SIG_BLOCK, &signals, nullptr) != 0) return;
+  std::thread([folders, signals] {
+    int number = 0;
+    if (sigwait(&signals, &number) != 0) return;
+    const std::string mark = ".partial-" + std::to_string(getpid()) + "-";
+    for (const std::string& folder : folders) {
+      std::error_code ignored;
+      for (const auto& entry : std::filesystem::directory_iterator(folder, ignored))
+        if (entry.path().filename().string().find(mark) != std::string::npos)
+          std::filesystem::remove(entry.path(), ignored);
+    }
+    signal(number, SIG_DFL);
+    pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);
+    raise(number);
+    _exit(128 + number);
+  }).detach();
+}
+
+}  // namespace shellgrid

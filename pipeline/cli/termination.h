@@ -1,0 +1,12 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <string>
+#include <vector>
+
+namespace shellgrid {
+
+// From now on SIGTERM, SIGINT and SIGHUP remove this process's half-written files from `folders` and then end the
+// process by that signal. To be called before the first thread starts.
+void clean_up_on_termination(const std::vector<std::string>& folders);
+
+}  // namespace shellgrid
