@@ -12,7 +12,8 @@
 namespace shellgrid {
 namespace {
 
-double rounded(double value, double unit) { return std::round(value / unit) * unit; }
+// In parts of 1/`parts`, so that the record shows no more digits.
+double rounded(double value, double parts) { return std::round(value * parts) / parts; }
 
 }  // namespace
 
@@ -34,8 +35,8 @@ void PartTimer::stop() {
 
 nlohmann::ordered_json PartTimer::seconds() const {
   nlohmann::ordered_json all = nlohmann::ordered_json::object();
-  for (const auto& [name, sum] : parts_) all[name] = rounded(sum, 1e-4);
-  all["total"] = rounded(std::chrono::duration<double>(Clock::now() - begin_).count(), 1e-4);
+  for (const auto& [name, sum] : parts_) all[name] = rounded(sum, 1e4);
+  all["total"] = rounded(std::chrono::duration<double>(Clock::now() - begin_).count(), 1e4);
   return all;
 }
 
@@ -55,11 +56,11 @@ double peak_memory_mib() {
   for (std::string word; status >> word;)
     if (word == "VmHWM:") {
       double kib = 0;
-      if (status >> kib) return rounded(kib / 1024, 0.1);
+      if (status >> kib) return rounded(kib / 1024, 10);
     }
   rusage usage{};
   getrusage(RUSAGE_SELF, &usage);
-  return rounded(static_cast<double>(usage.ru_maxrss) / 1024, 0.1);
+  return rounded(static_cast<double>(usage.ru_maxrss) / 1024, 10);
 }
 
 std::string shell_command(const std::vector<std::string>& arguments) {

@@ -45,7 +45,8 @@ struct SceneMethod {
   int samples_per_pixel = 16;
 };
 
-// Sections that a stage does not need may be missing from its slice of the scene.
+// Sections that a stage does not need may be missing from its slice of the scene, and so may the paths of the mesh and
+// the sample (they are empty then).
 struct Scene {
   std::string path;  // of the file itself
   std::optional<SceneObject> object;

@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "pipeline/scene/scene.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <memory>
+#include <numbers>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/image_file.h"
+#include "pipeline/scene/named_materials.h"
+#include "pipeline/scene/scene_document.h"
+#include "pipeline/scene/scene_schema.h"
+
+namespace shellgrid {
+namespace {
+
+using nlohmann::json;
+
+// A section of a checked scene; what it lacks comes from the schema's defaults.
+class Section {
+ public:
+  Section(const std::string& file, const json& values, const std::string& place, const std::string& key)
+      : file_(file), values_(values), place_(place), key_(key) {}
+
+  bool has(const std::string& name) const { return values_.contains(name); }
+  Section section(const std::string& name) const {
+    return {file_, values_.at(name), place_ + "." + name, key_ + "." + name};
+  }
+  Section element(const std::string& name, std::size_t i) const {
+    return {file_, values_.at(name)[i], fmt::format("{}.{}[{}]", place_, name, i), key_ + "." + name + "[]"};
+  }
+  std::size_t count(const std::string& name) const { return has(name) ? values_.at(name).size() : 0; }
+
+  double number(const std::string& name) const { return value(name).get<double>(); }
+  int integer(const std::string& name) const { return static_cast<int>(value(name).get<double>()); }
+  bool boolean(const std::string& name) const { return value(name).get<bool>(); }
+  std::string text(const std::string& name) const { return value(name).get<std::string>(); }
+  std::string text_or_empty(const std::string& name) const { return has(name) ? text(name) : ""; }
+  Vec3 vector(const std::string& name) const {
+    const json& xyz = value(name);
+    return {xyz[0].get<double>(), xyz[1].get<double>(), xyz[2].get<double>()};
+  }
+  Vec3 direction(const std::string& name) const {
+    const Vec3 given = vector(name);
+    if (!(given.norm() > 1e-12)) fail(name, "is the zero vector");
+    return given.normalized();
+  }
+  Rgb colour(const std::string& name) const {
+    const json& rgb = value(name);
+    if (rgb.is_number()) return Rgb::Constant(rgb.get<float>());
+    return {rgb[0].get<float>(), rgb[1].get<float>(), rgb[2].get<float>()};
+  }
+  const json& value(const std::string& name) const {
+    if (has(name)) return values_.at(name);
+    const SceneKey& known = scene_key(key_ + "." + name);
+    if (known.otherwise.is_null()) fail(name, "is missing; expected " + key_type_text(known));
+    return known.otherwise;
+  }
+  // Refuses keys that belong to another kind of this section.
+  void allow(const std::vector<std::string>& names, const std::string& kind) const {
+    for (const auto& [name, ignored] : values_.items())
+      if (std::find(names.begin(), names.end(), name) == names.end())
+        fail(name, fmt::format("has no place here: {} takes {}", kind, fmt::join(names, ", ")));
+  }
+  [[noreturn]] void fail(const std::string& name, const std::string& what) const {
+    throw InputError(file_ + ": " + place_ + (name.empty() ? "" : "." + name) + ": " + what);
+  }
+
+ private:
+  const std::string& file_;
+  const json& values_;
+  std::string place_, key_;
+};
+
+SceneObject parse_object(const Section& section) {
+  SceneObject object;
+  object.mesh = section.text_or_empty("mesh");
+  object.size = section.number("size");
+  object.ior = section.number("ior");
+  object.close_holes = section.boolean("close_holes");
+  return object;
+}
+
+Material parse_coefficients(const Section& core) {
+  if (core.has("named")) {
+    core.allow({"named"}, "a named material");
+    try {
+      return named_material(core.text("named")).material;
+    } catch (const InputError& error) {
+      core.fail("named", error.what());
+    }
+  }
+  const Rgb absorption = core.colour("absorption"), scattering = core.colour("scattering");
+  Material material;
+  material.extinction = absorption + scattering;
+  for (int channel = 0; channel < 3; ++channel) {
+    if (!(scattering[channel] > 0)) core.fail("scattering", "is 0 in a channel; diffusion needs scattering");
+    material.albedo[channel] = scattering[channel] / material.extinction[channel];
+  }
+  material.anisotropy = core.colour("anisotropy");
+  return material;
+}
+
+SceneMaterial parse_material(const Section& section) {
+  SceneMaterial material;
+  if (section.has("opaque")) {
+    section.allow({"opaque"}, "an opaque material");
+    material.opaque = OpaqueMaterial{section.section("opaque").colour("reflectance")};
+    return material;
+  }
+  if (section.has("shell")) {
+    const Section shell = section.section("shell");
+    material.shell = ShellMaterial{shell.text_or_empty("sample"), shell.number("thickness"), shell.number("voxel")};
+    if (material.shell->voxel > material.shell->thickness) shell.fail("voxel", "is larger than the shell's thickness");
+  } else if (!section.has("core") || !section.value("core").is_object()) {
+    section.fail(section.has("core") ? "core" : "", "expected shell, opaque, or a core with coefficients");
+  }
+  if (section.has("core") && section.value("core").is_object())
+    material.core = parse_coefficients(section.section("core"));
+  return material;
+}
+
+EnvironmentLight parse_environment(const Section& section) {
+  EnvironmentLight light;
+  light.up = section.direction("up");
+  light.scale = section.colour("scale");
+  if (section.has("image")) {
+    section.allow({"type", "image", "scale", "up"}, "an environment with an image");
+    light.image = std::make_shared<const Image>(read_exr(section.text("image")));
+    for (const char* channel : {"R", "G", "B"})
+      if (!light.image->find(channel)) section.fail("image", section.text("image") + ": has no channel " + channel);
+    for (const Image::Channel& channel : light.image->channels)
+      for (const float radiance : channel.values)
+        if (channel.name.size() == 1 && channel.name != "A" && !(radiance >= 0 && std::isfinite(radiance)))
+          section.fail("image", section.text("image") + ": a radiance is negative or not finite");
+    return light;
+  }
+  section.allow({"type", "scale", "up", "zenith", "horizon", "ground", "lamps"}, "an environment without an image");
+  light.zenith = section.colour("zenith");
+  light.horizon = section.colour("horizon");
+  light.ground = section.colour("ground");
+  for (std::size_t i = 0; i < section.count("lamps"); ++i) {
+    const Section lamp = section.element("lamps", i);
+    light.lamps.push_back({lamp.direction("direction"), lamp.number("half_angle") * std::numbers::pi / 180,
+                           lamp.number("softness"), lamp.colour("radiance")});
+  }
+  return light;
+}
+
+Light parse_light(const Section& section) {
+  const std::string type = section.text("type");
+  if (type == "directional") {
+    section.allow({"type", "direction", "irradiance"}, "a directional light");
+    return DirectionalLight{section.direction("direction"), section.colour("irradiance")};
+  }
+  if (type == "point") {
+    section.allow({"type", "position", "intensity"}, "a point light");
+    return PointLight{section.vector("position"), section.colour("intensity")};
+  }
+  return parse_environment(section);
+}
+
+Camera parse_camera(const Section& section) {
+  Camera camera;
+  camera.position = section.vector("position");
+  camera.look_at = section.vector("look_at");
+  camera.up = section.direction("up");
+  camera.fov = section.number("fov");
+  camera.width = static_cast<int>(section.value("resolution")[0].get<double>());
+  camera.height = static_cast<int>(section.value("resolution")[1].get<double>());
+  const Vec3 view = camera.look_at - camera.position;
+  if (!(view.norm() > 1e-9)) section.fail("position", "equals look_at: the camera has no direction");
+  if (!(view.normalized().cross(camera.up).norm() > 1e-6)) section.fail("up", "is parallel to the line of sight");
+  return camera;
+}
+
+SceneMethod parse_method(const Section& section) {
+  SceneMethod method;
+  method.type = section.text("type");
+  method.nodes = section.number("nodes");
+  method.tolerance = section.number("tolerance");
+  method.operator_name = section.text("operator");
+  method.source = section.text("source");
+  method.samples_per_pixel = section.integer("samples_per_pixel");
+  return method;
+}
+
+}  // namespace
+
+Scene read_scene(const std::string& path) {
+  const SceneDocument document = read_scene_document(path);
+  const json& root = document.root;
+  Scene scene;
+  scene.path = path;
+  const auto section = [&](const char* name) { return Section(document.path, root.at(name), name, name); };
+  if (root.contains("object")) scene.object = parse_object(section("object"));
+  if (root.contains("material")) scene.material = parse_material(section("material"));
+  if (root.contains("lights"))
+    for (std::size_t i = 0; i < root["lights"].size(); ++i)
+      scene.lights.push_back(
+          parse_light(Section(document.path, root["lights"][i], fmt::format("lights[{}]", i), "lights[]")));
+  if (root.contains("camera")) scene.camera = parse_camera(section("camera"));
+  if (root.contains("method")) scene.method = parse_method(section("method"));
+  return scene;
+}
+
+}  // namespace shellgrid

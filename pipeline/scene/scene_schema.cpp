@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "pipeline/scene/scene_schema.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+
+#include "meshing/core/error.h"
+#include "pipeline/cli/option_table.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr double infinite = 1e300;
+
+SceneKey section(const std::string& place, const std::string& help) {
+  return {place, KeyType::section, "", nullptr, 0, 0, false, {}, help};
+}
+SceneKey list(const std::string& place, const std::string& help) {
+  return {place, KeyType::list, "", nullptr, 0, 0, false, {}, help};
+}
+SceneKey number(const std::string& place, const std::string& unit, const nlohmann::json& otherwise, double least,
+                double most, const std::string& help) {
+  return {place, KeyType::number, unit, otherwise, least, most, false, {}, help};
+}
+SceneKey positive(const std::string& place, const std::string& unit, const nlohmann::json& otherwise, double most,
+                  const std::string& help) {
+  return {place, KeyType::number, unit, otherwise, 0, most, true, {}, help};
+}
+SceneKey integer(const std::string& place, const nlohmann::json& otherwise, double least, double most,
+                 const std::string& help) {
+  return {place, KeyType::integer, "", otherwise, least, most, false, {}, help};
+}
+SceneKey word(const std::string& place, const nlohmann::json& otherwise, const std::vector<std::string>& choices,
+              const std::string& help) {
+  return {place, KeyType::word, "", otherwise, 0, 0, false, choices, help};
+}
+SceneKey file(const std::string& place, const std::string& help) {
+  return {place, KeyType::file, "", nullptr, 0, 0, false, {}, help};
+}
+SceneKey vector(const std::string& place, const std::string& unit, const nlohmann::json& otherwise,
+                const std::string& help) {
+  return {place, KeyType::vector, unit, otherwise, -1e9, 1e9, false, {}, help};
+}
+SceneKey colour(const std::string& place, const std::string& unit, const nlohmann::json& otherwise, double most,
+                const std::string& help) {
+  return {place, KeyType::colour, unit, otherwise, 0, most, false, {}, help};
+}
+
+std::vector<SceneKey> make_schema() {
+  using nlohmann::json;
+  const json none = nullptr;
+  return {
+      section("object", "the object's shape"),
+      file("object.mesh", "closed mesh: .ply, .obj, .off or .stl"),
+      number("object.size", "mm", 80, 0, 1e6, "longest edge of the bounding box; 0 keeps the file's units as mm"),
+      number("object.ior", "", 1.5, 1, 4, "refractive index inside over outside"),
+      {"object.close_holes", KeyType::boolean, "", false, 0, 0, false, {}, "close the mesh's holes"},
+
+      section("material", "what the object is made of: shell and core, core alone (homogeneous), or opaque"),
+      section("material.shell", "the heterogeneous shell"),
+      file("material.shell.sample", "description of the material sample (.json) or a base volume (.vdb)"),
+      positive("material.shell.thickness", "mm", 4, 1e4, "thickness of the shell"),
+      positive("material.shell.voxel", "mm", 0.4, 1e4, "edge of its voxels, d_0"),
+      {"material.core",
+       KeyType::core,
+       "",
+       "bottom-layer",
+       0,
+       0,
+       false,
+       {},
+       "below the shell, or the whole homogeneous object: `\"bottom-layer\"` (the mean of the sample's bottom layer), "
+       "a named material, or coefficients; required without a shell"},
+      {"material.core.named", KeyType::name, "", none, 0, 0, false, {}, "a measured material"},
+      colour("material.core.absorption", "mm⁻¹", none, 1e6, "absorption coefficient"),
+      colour("material.core.scattering", "mm⁻¹", none, 1e6, "scattering coefficient"),
+      {"material.core.anisotropy",
+       KeyType::colour,
+       "",
+       0,
+       -0.999,
+       0.999,
+       false,
+       {},
+       "mean cosine of the Henyey–Greenstein phase function"},
+      section("material.opaque", "an opaque diffuse surface: no light inside"),
+      colour("material.opaque.reflectance", "", 0.5, 1, "diffuse reflectance"),
+
+      list("lights", "any number of lights"),
+      word("lights[].type", none, {"directional", "point", "environment"}, "kind of light"),
+      vector("lights[].direction", "", none, "directional: the direction in which the light travels"),
+      colour("lights[].irradiance", "W mm⁻²", none, infinite, "directional: irradiance on a plane that faces it"),
+      vector("lights[].position", "mm", none, "point: where it stands"),
+      colour("lights[].intensity", "W sr⁻¹", none, infinite, "point: intensity, the same into all directions"),
+      file("lights[].image", "environment: equirectangular radiance, .exr; without it the sky of the keys below"),
+      colour("lights[].scale", "", 1, infinite, "environment: factor on the image or the sky"),
+      vector("lights[].up", "", json::array({0, 1, 0}), "environment: upward direction"),
+      colour("lights[].zenith", "W mm⁻² sr⁻¹", 0, infinite, "environment: the sky's radiance straight up"),
+      colour("lights[].horizon", "W mm⁻² sr⁻¹", 0, infinite, "environment: at the horizon"),
+      colour("lights[].ground", "W mm⁻² sr⁻¹", 0, infinite, "environment: straight down"),
+      list("lights[].lamps", "environment: soft round lamps on the sky"),
+      vector("lights[].lamps[].direction", "", none, "towards the lamp"),
+      {"lights[].lamps[].half_angle", KeyType::number, "degree", 12, 0, 180, true, {}, "from its centre to its rim"},
+      number("lights[].lamps[].softness", "", 0.2, 0, 1, "share of the half angle over which it fades"),
+      colour("lights[].lamps[].radiance", "W mm⁻² sr⁻¹", none, infinite, "added to the sky's radiance"),
+
+      section("camera", "from where it is seen; the object's bounding box is centred on the origin"),
+      vector("camera.position", "mm", json::array({0, 0, 200}), "where the camera stands"),
+      vector("camera.look_at", "mm", json::array({0, 0, 0}), "the point in the middle of the picture"),
+      vector("camera.up", "", json::array({0, 1, 0}), "upward direction in the picture"),
+      number("camera.fov", "degree", 30, 0.1, 170, "vertical field of view"),
+      {"camera.resolution",
+       KeyType::resolution,
+       "pixel",
+       json::array({720, 486}),
+       1,
+       16384,
+       false,
+       {},
+       "width and height of the picture"},
+
+      section("method", "how light inside the object is computed, and how finely"),
+      word("method.type", "polygrid-diffusion", {"polygrid-diffusion"}, "the method"),
+      number("method.nodes", "", 1e5, 1e3, 1e8, "nodes of the polygrid"),
+      {"method.tolerance", KeyType::number, "", 0.005, 1e-12, 0.5, false, {}, "relative error of the exitance"},
+      word("method.operator", "elements", {"elements", "paper"},
+           "discretisation: trilinear elements, or the paper's six-neighbour weights"),
+      word("method.source", "boundary", {"boundary", "first-collision"}, "where light becomes diffuse"),
+      integer("method.samples_per_pixel", 16, 1, 65536, "camera rays a pixel"),
+  };
+}
+
+}  // namespace
+
+const std::vector<SceneKey>& scene_schema() {
+  static const std::vector<SceneKey> schema = make_schema();
+  return schema;
+}
+
+const SceneKey& scene_key(const std::string& place) {
+  for (const SceneKey& key : scene_schema())
+    if (key.place == place) return key;
+  throw InternalError("no scene key " + place);
+}
+
+std::vector<std::string> scene_keys_below(const std::string& place) {
+  const std::string prefix = place.empty() ? "" : place + ".";
+  std::vector<std::string> names;
+  for (const SceneKey& key : scene_schema()) {
+    if (!key.place.starts_with(prefix)) continue;
+    const std::string rest = key.place.substr(prefix.size());
+    if (rest.find('.') == std::string::npos) names.push_back(rest);
+  }
+  return names;
+}
+
+std::string key_type_text(const SceneKey& key) {
+  switch (key.type) {
+    case KeyType::section:
+      return "section";
+    case KeyType::list:
+      return "list";
+    case KeyType::number:
+      return "number";
+    case KeyType::integer:
+      return "integer";
+    case KeyType::boolean:
+      return "true or false";
+    case KeyType::word:
+      return "text";
+    case KeyType::name:
+      return "text";
+    case KeyType::file:
+      return "path";
+    case KeyType::vector:
+      return "[x, y, z]";
+    case KeyType::colour:
+      return "[r, g, b] or number";
+    case KeyType::resolution:
+      return "[width, height]";
+    case KeyType::core:
+      return "text or section";
+  }
+  throw InternalError("a scene key without a type");
+}
+
+std::string key_range_text(const SceneKey& key) {
+  if (!key.choices.empty()) return fmt::format("{}", fmt::join(key.choices, ", "));
+  const bool numeric = key.type == KeyType::number || key.type == KeyType::integer || key.type == KeyType::colour ||
+                       key.type == KeyType::vector || key.type == KeyType::resolution;
+  if (!numeric || key.least <= -1e9) return "";
+  const bool open = key.most >= infinite;
+  if (key.above_least) return "> " + number_text(key.least) + (open ? "" : ", ≤ " + number_text(key.most));
+  return open ? "≥ " + number_text(key.least) : number_text(key.least) + " … " + number_text(key.most);
+}
+
+std::string scene_schema_markdown() {
+  std::string table = "| key | value | unit | default | range | meaning |\n|---|---|---|---|---|---|\n";
+  for (const SceneKey& key : scene_schema()) {
+    const std::string otherwise = key.otherwise.is_null()     ? ""
+                                  : key.otherwise.is_number() ? number_text(key.otherwise.get<double>())
+                                                              : key.otherwise.dump();
+    table += fmt::format("| `{}` | {} | {} | {} | {} | {} |\n", key.place, key_type_text(key), key.unit,
+                         otherwise.empty() ? "" : "`" + otherwise + "`", key_range_text(key), key.help);
+  }
+  return table;
+}
+
+}  // namespace shellgrid
