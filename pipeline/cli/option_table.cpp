@@ -128,7 +128,7 @@ std::string number_text(double value) {
     scientific = scientific.substr(0, mark) + "e" + std::to_string(std::atoi(scientific.c_str() + mark + 1));
   if (plain.size() > 2 && plain.ends_with(".0")) plain.resize(plain.size() - 2);
   if (plain.find('e') != std::string::npos) return scientific;
-  return plain.size() <= std::max<std::size_t>(scientific.size(), 4) ? plain : scientific;
+  return plain.size() <= std::max<std::size_t>(scientific.size(), 5) ? plain : scientific;
 }
 
 std::string OptionSpec::long_name() const {
