@@ -28,6 +28,9 @@ struct Box {
     lower = lower.cwiseMin(box.lower);
     upper = upper.cwiseMax(box.upper);
   }
+  bool overlaps(const Box& box) const {
+    return (lower.array() <= box.upper.array()).all() && (box.lower.array() <= upper.array()).all();
+  }
 };
 
 // A tree of bounding boxes with eight children a node and up to eight items a leaf, split at medians
@@ -71,6 +74,29 @@ class BoxTree {
         int at = size++;
         for (; at > first && stack[at - 1].bound < bounds[lane]; --at) stack[at] = stack[at - 1];
         stack[at] = {bounds[lane], node.child[lane]};
+      }
+    }
+  }
+
+  // Calls visit(leaf) for every leaf whose box overlaps the given one.
+  template <class Visit>
+  void visit_overlaps(const Box& box, const Visit& visit) const {
+    if (nodes_.empty()) return;
+    std::int32_t stack[256];
+    int size = 0;
+    stack[size++] = 0;
+    while (size > 0) {
+      const std::int32_t child = stack[--size];
+      if (child < 0) {
+        visit(~child);
+        continue;
+      }
+      const Node& node = nodes_[child];
+      for (int lane = 0; lane < node.child_count; ++lane) {
+        bool apart = false;
+        for (int axis = 0; axis < 3; ++axis)
+          apart |= node.lower[axis][lane] > box.upper[axis] || node.upper[axis][lane] < box.lower[axis];
+        if (!apart) stack[size++] = node.child[lane];
       }
     }
   }

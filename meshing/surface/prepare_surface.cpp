@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/surface/prepare_surface.h"
+
+#include <fmt/format.h>
+
+#include "meshing/core/error.h"
+#include "meshing/surface/retile.h"
+
+namespace shellgrid {
+namespace {
+
+// Centres the bounding box on the origin and makes its longest edge `size`, where that is not 0. Returns the scale.
+double place(TriangleMesh& mesh, double size) {
+  const Eigen::RowVector3d lower = mesh.vertices.colwise().minCoeff(), upper = mesh.vertices.colwise().maxCoeff();
+  const double scale = size > 0 ? size / (upper - lower).maxCoeff() : 1;
+  mesh.vertices.rowwise() -= 0.5 * (lower + upper);
+  mesh.vertices *= scale;
+  return scale;
+}
+
+// Whether a retiled mesh may take the place of its original; else adds where it crosses itself.
+bool accept(const TriangleMesh& retiled, const TriangleMesh& original, std::vector<Vec3>& crossings) {
+  const SurfaceDefects defects = find_defects(retiled);
+  if (defects.boundary_edges + defects.non_manifold_edges + defects.non_manifold_vertices > 0) return false;
+  if (defects.components != 1 || genus(retiled) != genus(original)) return false;
+  const SelfIntersections found = find_self_intersections(retiled);
+  for (const auto& [face, other] : found.face_pairs)
+    for (const int f : {face, other})
+      crossings.emplace_back((retiled.corner(f, 0) + retiled.corner(f, 1) + retiled.corner(f, 2)) / 3);
+  return found.pairs == 0;
+}
+
+}  // namespace
+
+PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions& options, Progress& progress) {
+  PreparedSurface result;
+  TriangleMesh original = repair_surface(input, options.close_holes, result.repair, progress);
+  result.scale = place(original, options.size);
+  result.mesh = original;
+  if (options.retile) {
+    const Eigen::RowVector3d extent = original.vertices.colwise().maxCoeff() - original.vertices.colwise().minCoeff();
+    if (!(options.spacing > 0) || options.spacing > extent.maxCoeff() / 4)
+      throw InputError(
+          fmt::format("spacing {:.6g} mm is too coarse for an object {:.6g} mm long; expected at most a quarter",
+                      options.spacing, extent.maxCoeff()));
+    RetileOptions retiling;
+    retiling.spacing = options.spacing;
+    retiling.feature_angle = options.feature_angle;
+    bool accepted = false;
+    for (int attempt = 0; attempt < 4 && !accepted; ++attempt) {
+      const std::size_t known = retiling.refine_at.size();
+      result.mesh = retile_surface(original, retiling, progress);
+      ++result.retiling_attempts;
+      accepted = accept(result.mesh, original, retiling.refine_at);
+      if (!accepted && retiling.refine_at.size() == known) break;  // wrong in a way that refining does not mend
+      retiling.refine_factor *= 0.5;
+    }
+    if (accepted && result.retiling_attempts > 1)
+      progress.warn(fmt::format("the surface is finer than the spacing in places; edges shortened to {:.3g} mm there",
+                                options.spacing * 2 * retiling.refine_factor));
+    if (!accepted) {
+      progress.warn("retiling made the surface cross itself; kept its triangles and subdivided the long ones");
+      result.mesh = subdivide_long_edges(original, 4.0 / 3 * options.spacing);
+      result.kept_triangles = true;
+      if (const SelfIntersections found = find_self_intersections(result.mesh); found.pairs > 0)
+        throw InputError(
+            fmt::format("{} pairs of triangles intersect after retiling, first at ({:.6g}, {:.6g}, {:.6g}); "
+                        "try a smaller spacing or --no-retile",
+                        found.pairs, found.at.x(), found.at.y(), found.at.z()));
+    }
+    // Vertices on the surface reach its extremes only nearly.
+    place(result.mesh, options.size);
+  }
+  require_closed_surface(result.mesh);
+  result.edges = measure_edges(result.mesh);
+  result.genus = genus(result.mesh);
+  result.volume = enclosed_volume(result.mesh);
+  if (options.retile) {
+    result.to_input = sampled_distance(result.mesh, original, options.spacing);
+    result.from_input = sampled_distance(original, result.mesh, options.spacing);
+  }
+  return result;
+}
+
+}  // namespace shellgrid

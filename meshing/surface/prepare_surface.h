@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include "meshing/core/progress.h"
+#include "meshing/core/triangle_mesh.h"
+#include "meshing/surface/repair.h"
+#include "meshing/surface/surface_quality.h"
+
+namespace shellgrid {
+
+struct PrepareOptions {
+  double size = 0;            // longest edge of the bounding box, mm; 0 keeps the file's units
+  double spacing = 0.4;       // mean edge length of the retiled surface, mm
+  double feature_angle = 45;  // degrees; see RetileOptions
+  bool close_holes = false;
+  bool retile = true;
+};
+
+struct PreparedSurface {
+  TriangleMesh mesh;  // closed, oriented, one component, centred on the origin
+  RepairReport repair;
+  EdgeStatistics edges;
+  int genus = 0;
+  double volume = 0;            // mm³
+  double scale = 1;             // output length over input length
+  double to_input = 0;          // sampled distance from the result to the repaired input, mm
+  double from_input = 0;        // and back, mm
+  int retiling_attempts = 0;    // 0: not retiled
+  bool kept_triangles = false;  // the repaired triangles were only subdivided, because retiling crossed itself
+};
+
+// Repairs, scales, centres and retiles a mesh. Where the retiled surface intersects itself it is tried again with
+// finer spacing around the crossings, and at last the repaired triangles are only subdivided, with a warning.
+// Throws: InputError, as repair_surface; for a spacing too coarse for the object.
+PreparedSurface prepare_surface(const TriangleMesh& mesh, const PrepareOptions& options,
+                                Progress& progress = no_progress());
+
+}  // namespace shellgrid

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/surface/surface_quality.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "meshing/core/parallel.h"
+#include "meshing/surface/closest_point.h"
+
+namespace shellgrid {
+
+EdgeStatistics measure_edges(const TriangleMesh& mesh) {
+  EdgeStatistics statistics;
+  double least = std::numeric_limits<double>::infinity(), greatest = 0, count = 0, sum = 0, squares = 0;
+  for (int f = 0; f < mesh.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) {
+      if (mesh.faces(f, k) > mesh.faces(f, (k + 1) % 3)) continue;  // the other face counts it
+      const double length = (mesh.corner(f, (k + 1) % 3) - mesh.corner(f, k)).norm();
+      least = std::min(least, length);
+      greatest = std::max(greatest, length);
+      sum += length, squares += length * length, ++count;
+    }
+  if (count == 0) return statistics;
+  statistics.mean = sum / count;
+  statistics.deviation = std::sqrt(std::max(0.0, squares / count - statistics.mean * statistics.mean));
+  statistics.least = least;
+  statistics.greatest = greatest;
+  return statistics;
+}
+
+double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double spacing) {
+  const ClosestPointQuery query(to);
+  constexpr std::size_t chunk = 1024;
+  const auto greatest_over = [&](std::size_t count, const auto& squared_distance_at) {
+    std::vector<double> greatest((count + chunk - 1) / chunk, 0.0);
+    parallel_chunks(count, chunk, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i)
+        greatest[begin / chunk] = std::max(greatest[begin / chunk], squared_distance_at(static_cast<int>(i)));
+    });
+    return greatest.empty() ? 0.0 : *std::max_element(greatest.begin(), greatest.end());
+  };
+  const double at_vertices =
+      greatest_over(from.vertex_count(), [&](int v) { return query.nearest(from.vertex(v)).squared_distance; });
+  const double on_faces = greatest_over(from.face_count(), [&](int f) {
+    const Vec3 a = from.corner(f, 0), ab = from.corner(f, 1) - a, ac = from.corner(f, 2) - a;
+    const double area = 0.5 * ab.cross(ac).norm();
+    // The centres of a regular division into n² triangles.
+    const int n = std::clamp(static_cast<int>(std::ceil(std::sqrt(2 * area) / spacing)), 1, 1000);
+    double greatest = 0;
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; i + j < n; ++j)
+        for (int half = 0; half < (i + j + 1 < n ? 2 : 1); ++half) {
+          const double shift = half == 0 ? 1.0 / 3 : 2.0 / 3;
+          greatest =
+              std::max(greatest, query.nearest(a + (i + shift) / n * ab + (j + shift) / n * ac).squared_distance);
+        }
+    return greatest;
+  });
+  return std::sqrt(std::max(at_vertices, on_faces));
+}
+
+}  // namespace shellgrid
