@@ -1,0 +1,269 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/render/surface_render.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <numbers>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "solvers/render/scene_geometry.h"
+#include "solvers/scattering/fresnel.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr float pi = std::numbers::pi_v<float>;
+using Hit = SceneGeometry::Hit;
+
+Vec3 reflect(const Vec3& direction, const Vec3& normal) { return direction - 2 * direction.dot(normal) * normal; }
+
+Rgb interpolate(const std::vector<Rgb>& values, const TriangleMesh& mesh, const Hit& hit) {
+  Rgb sum = Rgb::Zero();
+  for (int k = 0; k < 3; ++k) sum += values[mesh.faces(hit.face_index, k)] * static_cast<float>(hit.barycentric[k]);
+  return sum;
+}
+
+// What both kinds of surface share: the object, what surrounds it, and the way rays go.
+class Stage {
+ public:
+  Stage(const TriangleMesh& mesh, const std::vector<Light>& lights, const Camera& camera,
+        const RenderSettings& settings)
+      : mesh(mesh), geometry(mesh), rays(camera), normals(vertex_normals(mesh)), settings(settings) {
+    if (geometry.contains(camera.position))
+      throw InputError(fmt::format("the camera at ({:g}, {:g}, {:g}) is inside the object; move its position out",
+                                   camera.position.x(), camera.position.y(), camera.position.z()));
+    for (const Light& light : lights)
+      if (const auto* environment = std::get_if<EnvironmentLight>(&light)) environments.push_back(*environment);
+    up = environments.empty() ? Vec3(camera.up.normalized()) : Vec3(environments.front().up.normalized());
+  }
+
+  // Radiance from infinitely far away.
+  Rgb far(const Vec3& direction) const {
+    Rgb sum = Rgb::Zero();
+    for (const EnvironmentLight& environment : environments) sum += radiance(environment, direction);
+    return sum;
+  }
+
+  // The interpolated normal, or the face's where that one looks away from the viewer.
+  Vec3 shading_normal(const Hit& hit, const Vec3& direction) const {
+    Vec3 normal = Vec3::Zero();
+    for (int k = 0; k < 3; ++k) normal += hit.barycentric[k] * normals.row(mesh.faces(hit.face_index, k)).transpose();
+    const double length = normal.norm();
+    if (!(length > 1e-6)) return hit.normal;
+    normal /= length;
+    return normal.dot(direction) < 0 && normal.dot(hit.normal) > 0 ? normal : hit.normal;
+  }
+
+  const TriangleMesh& mesh;
+  SceneGeometry geometry;
+  CameraRays rays;
+  VertexMatrix normals;
+  const RenderSettings& settings;
+  std::vector<EnvironmentLight> environments;
+  Vec3 up;
+  std::optional<LitFloor> floor;
+  mutable std::atomic<std::int64_t> mirror_rays{0}, shadow_rays{0};
+};
+
+// Exposes the film. `shade(hit, direction)` fills the sample's exitance and specular; `glimpse(hit, direction)` is the
+// object's radiance as a polished floor mirrors it.
+template <class Shade, class Glimpse>
+RenderedImage expose(const Stage& stage, const Camera& camera, const Shade& shade, const Glimpse& glimpse,
+                     Progress& progress) {
+  Film film(camera.width, camera.height, stage.settings.film);
+  auto backdrop = [&](const Vec3& origin, const Vec3& direction) -> Rgb {
+    const Rgb behind = stage.settings.background ? *stage.settings.background : stage.far(direction);
+    if (!stage.floor) return behind;
+    const std::optional<double> distance = stage.floor->intersect(origin, direction);
+    if (!distance) return behind;
+    const Vec3 point = origin + *distance * direction;
+    const auto opacity = static_cast<float>(stage.floor->opacity(point));
+    if (opacity == 0) return behind;
+    Rgb light = stage.floor->radiance(point);
+    const double ior = stage.floor->floor().ior;
+    if (ior > 1) {
+      const Vec3 mirrored = reflect(direction, stage.floor->normal());
+      const auto reflectance = static_cast<float>(fresnel_reflectance(mirrored.dot(stage.floor->normal()), ior));
+      ++stage.mirror_rays;
+      const std::optional<Hit> hit = stage.geometry.intersect(point, mirrored);
+      light = light * (1 - reflectance) + reflectance * (hit ? glimpse(*hit, mirrored) : stage.far(mirrored));
+    }
+    return behind * (1 - opacity) + light * opacity;
+  };
+  RenderedImage result;
+  result.statistics.film = film.expose(
+      [&](double x, double y) {
+        FilmSample sample;
+        const Vec3 direction = stage.rays.direction(x, y);
+        const std::optional<Hit> hit = stage.geometry.intersect(stage.rays.origin(), direction);
+        if (!hit) {
+          sample.backdrop = backdrop(stage.rays.origin(), direction);
+          return sample;
+        }
+        sample.hit = true;
+        sample.depth = hit->distance * direction.dot(stage.rays.axis());
+        sample.normal = stage.shading_normal(*hit, direction);
+        shade(*hit, direction, sample);
+        return sample;
+      },
+      progress);
+  result.image = film.develop();
+  result.statistics.mirror_rays = stage.mirror_rays;
+  result.statistics.shadow_rays = stage.shadow_rays;
+  if (stage.floor) {
+    result.statistics.shadow_rays += stage.floor->shadow_rays();
+    result.statistics.shadow_rays_skipped += stage.floor->shadow_rays_skipped();
+  }
+  return result;
+}
+
+}  // namespace
+
+VertexMatrix vertex_normals(const TriangleMesh& mesh) {
+  VertexMatrix normals = VertexMatrix::Zero(mesh.vertex_count(), 3);
+  for (int f = 0; f < mesh.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) {
+      const Vec3 a = mesh.corner(f, (k + 1) % 3) - mesh.corner(f, k),
+                 b = mesh.corner(f, (k + 2) % 3) - mesh.corner(f, k);
+      const Vec3 area = a.cross(b);
+      const double length = area.norm();
+      if (length > 0) normals.row(mesh.faces(f, k)) += (std::atan2(length, a.dot(b)) / length * area).transpose();
+    }
+  for (int v = 0; v < mesh.vertex_count(); ++v) {
+    const double length = normals.row(v).norm();
+    if (length > 0) normals.row(v) /= length;
+  }
+  return normals;
+}
+
+RenderedImage render_surface(const TriangleMesh& mesh, const TranslucentSurface& surface,
+                             const std::vector<Light>& lights, const Camera& camera, const RenderSettings& settings,
+                             Progress& progress) {
+  if (static_cast<int>(surface.exitance.size()) != mesh.vertex_count())
+    throw InputError(
+        fmt::format("{} values of exitance for {} vertices", surface.exitance.size(), mesh.vertex_count()));
+  for (const Rgb& value : surface.exitance)
+    if (!value.isFinite().all()) throw InputError("the exitance is not finite everywhere");
+  Stage stage(mesh, lights, camera, settings);
+  const double ior = surface.ior;
+  const auto normalization = static_cast<float>(diffuse_fresnel(ior).exit_normalization);
+
+  // L = M F_t / (π ∫ 2μ F_t dμ), PHYSICS "Where light leaves".
+  auto leaving = [&](const Hit& hit, double cosine) -> Rgb {
+    const auto transmittance = static_cast<float>(fresnel_transmittance(cosine, ior));
+    return interpolate(surface.exitance, mesh, hit).max(0) * (transmittance / (pi * normalization));
+  };
+  if (settings.floor)
+    stage.floor.emplace(
+        *settings.floor, mesh, stage.geometry, stage.up, simple_lights(lights, settings.environment_samples),
+        [&](const Hit& hit) -> Rgb { return interpolate(surface.exitance, mesh, hit).max(0); }, progress);
+
+  // The object's radiance towards where a ray came from, its own mirror image showing the environment alone.
+  auto glimpse = [&](const Hit& hit, const Vec3& direction) -> Rgb {
+    const Vec3 normal = stage.shading_normal(hit, direction);
+    const double cosine = std::clamp(-direction.dot(normal), 0.0, 1.0);
+    return leaving(hit, cosine) +
+           static_cast<float>(fresnel_reflectance(cosine, ior)) * stage.far(reflect(direction, normal));
+  };
+  auto shade = [&](const Hit& hit, const Vec3& direction, FilmSample& sample) {
+    const double cosine = std::clamp(-direction.dot(sample.normal), 0.0, 1.0);
+    sample.exitance = leaving(hit, cosine);
+    const auto reflectance = static_cast<float>(fresnel_reflectance(cosine, ior));
+    if (!(reflectance > 0)) return;
+    Vec3 mirrored = reflect(direction, sample.normal);
+    if (!(mirrored.dot(hit.normal) > 0)) mirrored = reflect(direction, hit.normal);
+    const Vec3 origin = hit.point + stage.geometry.offset() * hit.normal;
+    ++stage.mirror_rays;
+    const std::optional<Hit> second = stage.geometry.intersect(origin, mirrored);
+    Rgb seen;
+    if (second) {
+      seen = glimpse(*second, mirrored);
+    } else {
+      seen = stage.far(mirrored);
+      if (stage.floor)
+        if (const std::optional<double> distance = stage.floor->intersect(origin, mirrored)) {
+          const Vec3 point = origin + *distance * mirrored;
+          const auto opacity = static_cast<float>(stage.floor->opacity(point));
+          seen = seen * (1 - opacity) + stage.floor->radiance(point) * opacity;
+        }
+    }
+    sample.specular = reflectance * seen;
+  };
+  return expose(stage, camera, shade, glimpse, progress);
+}
+
+RenderedImage render_surface(const TriangleMesh& mesh, const OpaqueSurface& surface, const std::vector<Light>& lights,
+                             const Camera& camera, const RenderSettings& settings, Progress& progress) {
+  if ((surface.reflectance < 0).any() || (surface.reflectance > 1).any() || !surface.reflectance.isFinite().all())
+    throw InputError("the reflectance is not between 0 and 1");
+  Stage stage(mesh, lights, camera, settings);
+  std::vector<SimpleLight> sharp, soft;
+  for (const Light& light : lights) {
+    const bool has_extent = std::holds_alternative<EnvironmentLight>(light);
+    for (const SimpleLight& simple : simple_lights({light}, settings.environment_samples))
+      (has_extent ? soft : sharp).push_back(simple);
+  }
+  auto irradiance = [&](const std::vector<SimpleLight>& some, const Vec3& point, const Vec3& face_normal,
+                        const Vec3& normal) -> Rgb {
+    Rgb sum = Rgb::Zero();
+    std::int64_t traced = 0;
+    const Vec3 origin = point + stage.geometry.offset() * face_normal;
+    for (const SimpleLight& light : some) {
+      const IncidentBeam beam = incident_beam(light, origin);
+      const double cosine = beam.direction.dot(normal);
+      if (!(cosine > 0)) continue;
+      ++traced;
+      if (!stage.geometry.occluded(origin, beam.direction, beam.distance))
+        sum += beam.irradiance * static_cast<float>(cosine);
+    }
+    stage.shadow_rays += traced;
+    return sum;
+  };
+
+  // Environments change slowly over the surface: once a vertex, where the camera may see it (or the floor mirror or
+  // light it).
+  std::vector<char> needed(mesh.vertex_count(), settings.floor ? 1 : 0);
+  for (int f = 0; f < mesh.face_count(); ++f) {
+    const Vec3 a = mesh.corner(f, 0), area = (mesh.corner(f, 1) - a).cross(mesh.corner(f, 2) - a);
+    if (area.dot(stage.rays.origin() - a) >= 0)
+      for (int k = 0; k < 3; ++k) needed[mesh.faces(f, k)] = 1;
+  }
+  std::vector<Rgb> soft_irradiance(mesh.vertex_count(), Rgb::Zero());
+  if (!soft.empty()) {
+    progress.begin("light the vertices", mesh.vertex_count());
+    parallel_chunks(mesh.vertex_count(), 256, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t v = begin; v < end; ++v) {
+        if (!needed[v]) continue;
+        const Vec3 normal = stage.normals.row(static_cast<Eigen::Index>(v)).transpose();
+        soft_irradiance[v] = irradiance(soft, mesh.vertex(static_cast<int>(v)), normal, normal);
+      }
+      progress.advance(static_cast<long>(end - begin));
+    });
+    progress.end();
+  }
+  const std::int64_t unseen = soft.empty() ? 0 : std::count(needed.begin(), needed.end(), 0);
+  auto radiosity = [&](const Hit& hit, const Vec3& normal) -> Rgb {
+    return surface.reflectance *
+           (interpolate(soft_irradiance, mesh, hit) + irradiance(sharp, hit.point, hit.normal, normal));
+  };
+  if (settings.floor)
+    stage.floor.emplace(
+        *settings.floor, mesh, stage.geometry, stage.up, simple_lights(lights, settings.environment_samples),
+        [&](const Hit& hit) { return radiosity(hit, hit.normal); }, progress);
+  auto shade = [&](const Hit& hit, const Vec3&, FilmSample& sample) {
+    sample.exitance = radiosity(hit, sample.normal) / pi;
+  };
+  auto glimpse = [&](const Hit& hit, const Vec3& direction) -> Rgb {
+    return radiosity(hit, stage.shading_normal(hit, direction)) / pi;
+  };
+  RenderedImage result = expose(stage, camera, shade, glimpse, progress);
+  result.statistics.unseen_vertices_skipped = unseen;
+  return result;
+}
+
+}  // namespace shellgrid
