@@ -65,7 +65,7 @@ Rgb picture_radiance(const EnvironmentLight& environment, const Vec3& direction)
   const int y0 = static_cast<int>(y), y1 = std::min(y0 + 1, picture.height - 1);
   const Rgb top = picture.pixel(x0, y0) * (1 - fx) + picture.pixel(x1, y0) * fx;
   const Rgb bottom = picture.pixel(x0, y1) * (1 - fx) + picture.pixel(x1, y1) * fx;
-  return (top * (1 - fy) + bottom * fy) * environment.scale;
+  return top * (1 - fy) + bottom * fy;
 }
 
 Rgb sky_radiance(const EnvironmentLight& environment, const Vec3& direction) {
@@ -118,7 +118,7 @@ void add_picture(const EnvironmentLight& environment, int count, std::vector<Dir
   auto solid_angle = [&](int y) { return 2 * pi / w * (std::cos(pi * y / h) - std::cos(pi * (y + 1) / h)); };
   for (int y = 0; y < h; ++y)
     for (int x = 0; x < w; ++x) {
-      const Rgb pixel = picture.pixel(x, y) * environment.scale;
+      const Rgb pixel = picture.pixel(x, y);
       if (!pixel.isFinite().all() || (pixel < 0).any())
         throw InputError("the environment picture holds a negative or non-finite value");
       sum(x + 1, y + 1) = luminance(pixel) * solid_angle(y) + sum(x, y + 1) + sum(x + 1, y) - sum(x, y);
@@ -165,7 +165,7 @@ void add_picture(const EnvironmentLight& environment, int count, std::vector<Dir
     Vec3 centroid = Vec3::Zero();
     for (int y = r.y0; y < r.y1; ++y)
       for (int x = r.x0; x < r.x1; ++x) {
-        const Eigen::Array3d part = (picture.pixel(x, y) * environment.scale).cast<double>() * solid_angle(y);
+        const Eigen::Array3d part = picture.pixel(x, y).cast<double>() * solid_angle(y);
         irradiance += part;
         centroid += luminance(part.cast<float>()) * frame.direction((x + 0.5) / w, (y + 0.5) / h);
       }
@@ -180,7 +180,7 @@ Rgb radiance(const EnvironmentLight& environment, const Vec3& direction) {
   Rgb sum = environment.image ? picture_radiance(environment, direction) : sky_radiance(environment, direction);
   for (const EnvironmentLight::Lamp& lamp : environment.lamps)
     sum += lamp.radiance * lamp_profile(lamp, direction.dot(lamp.direction.normalized()));
-  return sum;
+  return sum * environment.scale;
 }
 
 std::vector<DirectionalLight> directional_lights(const EnvironmentLight& environment, int count) {
@@ -198,6 +198,7 @@ std::vector<DirectionalLight> directional_lights(const EnvironmentLight& environ
     add_picture(environment, rest, lights);
   else if ((environment.zenith > 0).any() || (environment.horizon > 0).any() || (environment.ground > 0).any())
     add_sky(environment, rest, lights);
+  for (DirectionalLight& light : lights) light.irradiance *= environment.scale;
   return lights;
 }
 

@@ -34,9 +34,9 @@ struct EnvironmentLight {
   Rgb zenith = Rgb::Zero(), horizon = Rgb::Zero(), ground = Rgb::Zero();
   std::vector<Lamp> lamps;
   // Equirectangular; top row is `up`, the middle column is −z (+x where up is ±z). Null: the sky
-  // above. Scaled by `scale`.
+  // above.
   std::shared_ptr<const Image> image;
-  Rgb scale = Rgb::Ones();
+  Rgb scale = Rgb::Ones();  // factor on everything
 };
 
 using Light = std::variant<DirectionalLight, PointLight, EnvironmentLight>;
