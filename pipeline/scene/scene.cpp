@@ -203,7 +203,16 @@ Scene read_scene(const std::string& path) {
     for (std::size_t i = 0; i < root["lights"].size(); ++i)
       scene.lights.push_back(
           parse_light(Section(document.path, root["lights"][i], fmt::format("lights[{}]", i), "lights[]")));
-  if (root.contains("camera")) scene.camera = parse_camera(section("camera"));
+  if (root.contains("camera")) {
+    const Section camera = section("camera");
+    scene.camera = parse_camera(camera);
+    if (camera.has("exposure")) scene.exposure = camera.number("exposure");
+    if (camera.has("background")) scene.background = camera.colour("background");
+  }
+  if (root.contains("floor")) {
+    const Section floor = section("floor");
+    scene.floor = Floor{floor.colour("reflectance"), floor.number("ior"), floor.number("radius")};
+  }
   if (root.contains("method")) scene.method = parse_method(section("method"));
   return scene;
 }

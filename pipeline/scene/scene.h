@@ -8,6 +8,7 @@
 
 #include "meshing/core/material.h"
 #include "solvers/render/camera.h"
+#include "solvers/render/floor.h"
 #include "solvers/render/lights.h"
 
 namespace shellgrid {
@@ -53,6 +54,9 @@ struct Scene {
   std::optional<SceneMaterial> material;
   std::vector<Light> lights;
   std::optional<Camera> camera;
+  std::optional<double> exposure;  // of the PNG, stops; absent: automatic
+  std::optional<Rgb> background;   // behind everything, W mm⁻² sr⁻¹; absent: the environment
+  std::optional<Floor> floor;      // under the object
   SceneMethod method;
 };
 

@@ -120,6 +120,16 @@ std::vector<SceneKey> make_schema() {
        {},
        "width and height of the picture"},
 
+      number("camera.exposure", "stop", none, -100, 100,
+             "of the PNG: radiance is shown times 2^exposure; automatic where missing"),
+      colour("camera.background", "W mm⁻² sr⁻¹", none, infinite,
+             "what is seen behind everything; the environment where missing"),
+
+      section("floor", "a table under the object's lowest point, which shows shadows and reflections"),
+      colour("floor.reflectance", "", 0.5, 1, "diffuse reflectance"),
+      number("floor.ior", "", 1, 1, 4, "refractive index of a polished coat; 1: matt"),
+      positive("floor.radius", "", 2.5, 1e3, "where it has faded into the background, in sizes of the object"),
+
       section("method", "how light inside the object is computed, and how finely"),
       word("method.type", "polygrid-diffusion", {"polygrid-diffusion"}, "the method"),
       number("method.nodes", "", 1e5, 1e3, 1e8, "nodes of the polygrid"),
