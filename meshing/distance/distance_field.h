@@ -20,4 +20,27 @@ struct DistanceField {
   TwoLevelGrid<Vec3f> nearest_point;          // mm
 };
 
+struct DistanceOptions {
+  double voxel = 0.4;         // grid interval d_0, mm
+  double inside_band = 4.8;   // mm, > 0
+  double outside_band = 0.8;  // mm, > 0
+};
+
+// How much of the grid was visited.
+struct DistanceStatistics {
+  std::int64_t active_samples = 0;
+  std::int64_t visited_samples = 0;   // whose nearest point was looked for
+  std::int64_t possible_samples = 0;  // in the leaves that cover the object and its outside band
+  std::int64_t allocated_leaves = 0;
+  std::int64_t possible_leaves = 0;
+  double skipped() const { return 1 - static_cast<double>(visited_samples) / static_cast<double>(possible_samples); }
+};
+
+// Computes the field around a closed, outward surface; grid points are voxel·(i, j, k). The nearest point is exact to
+// rounding; the sign is the winding number along z, so sharp edges, needles and thin walls do not disturb it. The
+// nearest vertex is the lowest of all mesh vertices nearest to the nearest point.
+// Throws: InputError for a surface that is not closed, oriented and outward, or more than 2³¹ samples.
+DistanceField compute_distance_field(const TriangleMesh& mesh, const DistanceOptions& options,
+                                     DistanceStatistics& statistics, Progress& progress = no_progress());
+
 }  // namespace shellgrid

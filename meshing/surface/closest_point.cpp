@@ -2,6 +2,7 @@
 #include "meshing/surface/closest_point.h"
 
 #include <Eigen/Geometry>
+#include <algorithm>
 
 #include "meshing/core/parallel.h"
 
@@ -163,6 +164,21 @@ int NearestVertexQuery::nearest(const Vec3& point, int candidate) const {
       }
   });
   return best_index;
+}
+
+int NearestVertexQuery::count_within(const Vec3& point, double radius, int most) const {
+  int count = 0;
+  double reach = radius * radius;
+  tree_.search(point, reach, [&](int leaf) {
+    const Packet& packet = packets_[leaf];
+    for (int slot = 0; slot < 8; ++slot) {
+      const Vec3 offset(packet.position[0][slot] - point.x(), packet.position[1][slot] - point.y(),
+                        packet.position[2][slot] - point.z());
+      count += offset.squaredNorm() <= reach;
+    }
+    if (count >= most) reach = -1;
+  });
+  return std::min(count, most);
 }
 
 }  // namespace shellgrid

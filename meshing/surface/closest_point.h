@@ -48,6 +48,8 @@ class NearestVertexQuery {
 
   // Index of the nearest point. `candidate` is an index that bounds the search, or -1.
   int nearest(const Vec3& point, int candidate = -1) const;
+  // How many points lie within the radius; stops counting at `most`.
+  int count_within(const Vec3& point, double radius, int most) const;
 
  private:
   struct alignas(64) Packet {
