@@ -61,4 +61,14 @@ double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double
   return std::sqrt(std::max(at_vertices, on_faces));
 }
 
+std::vector<float> distances_to_surface(const VertexMatrix& points, const TriangleMesh& surface) {
+  const ClosestPointQuery query(surface);
+  std::vector<float> distances(static_cast<std::size_t>(points.rows()));
+  parallel_for(distances.size(), [&](std::size_t i) {
+    const Vec3 p = points.row(static_cast<Eigen::Index>(i)).transpose();
+    distances[i] = static_cast<float>(std::sqrt(query.nearest(p).squared_distance));
+  });
+  return distances;
+}
+
 }  // namespace shellgrid

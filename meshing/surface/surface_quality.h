@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <vector>
+
 #include "meshing/core/triangle_mesh.h"
 
 namespace shellgrid {
@@ -16,5 +18,8 @@ EdgeStatistics measure_edges(const TriangleMesh& mesh);
 // Greatest distance from one surface to another, at the vertices of `from` and at points spread over its faces, one in
 // every spacing²/2 of area and at least one a face, mm. One side of the sampled Hausdorff distance.
 double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double spacing);
+
+// Distances from points to a surface, mm.
+std::vector<float> distances_to_surface(const VertexMatrix& points, const TriangleMesh& surface);
 
 }  // namespace shellgrid

@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/surface/prepare_surface.h"
+
+#include <gtest/gtest.h>
+#include <oneapi/tbb/global_control.h>
+
+#include <string>
+
+#include "meshing/core/error.h"
+#include "meshing/surface/retile.h"
+#include "tests/support/closed_shapes.h"
+
+namespace shellgrid {
+namespace {
+
+void expect_sound(const TriangleMesh& mesh) {
+  EXPECT_NO_THROW(require_closed_surface(mesh));
+  EXPECT_EQ(find_self_intersections(mesh).pairs, 0);
+}
+
+class PrepareShapes : public testing::TestWithParam<std::pair<const char*, TriangleMesh>> {};
+
+TEST_P(PrepareShapes, KeepsGenusVolumeAndDistanceAndMeetsTheSpacing) {
+  const TriangleMesh& shape = GetParam().second;
+  const PreparedSurface result = prepare_surface(shape, {.size = 20, .spacing = 0.4});
+  expect_sound(result.mesh);
+  EXPECT_EQ(result.genus, genus(shape));
+  EXPECT_NEAR(result.edges.mean, 0.4, 0.012);
+  EXPECT_LT(result.edges.variation(), 0.17);
+  EXPECT_GT(result.edges.least, 0.1);
+  EXPECT_LT(result.edges.greatest, 0.8);
+  EXPECT_LT(result.to_input, 0.5 * 0.4);
+  EXPECT_LT(result.from_input, 0.5 * 0.4);
+  const double volume = enclosed_volume(shape) * std::pow(result.scale, 3);
+  EXPECT_NEAR(result.volume, volume, 0.01 * volume);
+  const Eigen::RowVector3d lower = result.mesh.vertices.colwise().minCoeff(),
+                           upper = result.mesh.vertices.colwise().maxCoeff();
+  EXPECT_NEAR((upper - lower).maxCoeff(), 20, 1e-9);
+  EXPECT_LT((upper + lower).norm(), 1e-9);
+  EXPECT_FALSE(result.kept_triangles);
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, PrepareShapes,
+                         testing::Values(std::pair("sphere", shapes::sphere(1, 4)),
+                                         std::pair("coarse_sphere", shapes::sphere(1, 1)),
+                                         std::pair("torus", shapes::rotated(shapes::torus(2, 0.7, 60, 30), 1)),
+                                         std::pair("box", shapes::rotated(shapes::box({3, 2, 1}), 2)),
+                                         std::pair("double_cone", shapes::double_cone(30, 1, 1, 0.6))),
+                         [](const auto& info) { return info.param.first; });
+
+TEST(Prepare, KeepsSharpEdgesAndCorners) {
+  const PreparedSurface result = prepare_surface(shapes::box({20, 12, 8}), {.size = 0, .spacing = 0.5});
+  // Exactly the box: every vertex on it, every corner and edge kept.
+  EXPECT_LT(result.to_input, 1e-9);
+  EXPECT_LT(result.from_input, 1e-9);
+  EXPECT_NEAR(result.volume, 20 * 12 * 8, 1e-6);
+}
+
+TEST(Prepare, WithoutSizeKeepsUnits) {
+  const PreparedSurface result =
+      prepare_surface(shapes::moved(shapes::sphere(3, 4), {10, 20, 30}), {.size = 0, .spacing = 0.3});
+  EXPECT_EQ(result.scale, 1);
+  EXPECT_NEAR(result.volume, 4.0 / 3 * std::numbers::pi * 27, 1.5);
+}
+
+TEST(Prepare, WithoutRetilingKeepsTheTriangles) {
+  const TriangleMesh sphere = shapes::sphere(1, 3);
+  const PreparedSurface result = prepare_surface(sphere, {.size = 10, .retile = false});
+  EXPECT_EQ(result.mesh.faces, sphere.faces);
+  EXPECT_EQ(result.retiling_attempts, 0);
+}
+
+TEST(Prepare, IsTheSameOnOneAndTwoThreads) {
+  const TriangleMesh shape = shapes::rotated(shapes::torus(2, 0.7, 60, 30), 3);
+  TriangleMesh results[2];
+  for (int i = 0; i < 2; ++i) {
+    const oneapi::tbb::global_control limit(oneapi::tbb::global_control::max_allowed_parallelism, i + 1);
+    results[i] = prepare_surface(shape, {.size = 20, .spacing = 0.3}).mesh;
+  }
+  EXPECT_EQ(results[0].vertices, results[1].vertices);
+  EXPECT_EQ(results[0].faces, results[1].faces);
+}
+
+TEST(Prepare, OfASlabThinnerThanTheSpacingStaysSound) {
+  const PreparedSurface result =
+      prepare_surface(shapes::rotated(shapes::box({20, 10, 0.15}), 4), {.size = 0, .spacing = 0.5});
+  expect_sound(result.mesh);
+  EXPECT_EQ(result.genus, 0);
+  EXPECT_LT(result.from_input, 0.5);
+}
+
+TEST(Prepare, RefusesASpacingLargerThanTheObject) {
+  EXPECT_THROW(prepare_surface(shapes::sphere(1, 3), {.size = 1, .spacing = 5}), InputError);
+}
+
+TEST(Subdivision, LeavesTheSurfaceWhereItIs) {
+  const TriangleMesh box = shapes::box({4, 3, 2});
+  const TriangleMesh fine = subdivide_long_edges(box, 0.5);
+  expect_sound(fine);
+  EXPECT_LE(measure_edges(fine).greatest, 0.5);
+  EXPECT_NEAR(enclosed_volume(fine), 24, 1e-10);
+}
+
+TEST(SampledDistance, BetweenConcentricSpheresIsTheDifferenceOfRadii) {
+  const TriangleMesh outer = shapes::sphere(2, 5), inner = shapes::sphere(1.9, 5);
+  EXPECT_NEAR(sampled_distance(outer, inner, 0.05), 0.1, 0.002);
+  EXPECT_NEAR(sampled_distance(inner, outer, 0.05), 0.1, 0.002);
+}
+
+}  // namespace
+}  // namespace shellgrid
