@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// From a polygrid, its surface, a material and lights to fluence and exitance.
+#pragma once
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "meshing/core/progress.h"
+#include "meshing/core/triangle_mesh.h"
+#include "meshing/polycube/polygrid.h"
+#include "meshing/shell/shell_volume.h"
+#include "solvers/diffusion/multigrid.h"
+#include "solvers/render/lights.h"
+
+namespace shellgrid {
+
+struct DiffusionOptions {
+  std::string operator_name = "elements";  // or "paper"
+  std::string source = "boundary";         // or "first-collision"
+  double tolerance = 0.005;                // relative error of the exitance
+  int environment_samples = 256;           // parallel lights that stand for an environment
+  int most_iterations = 200;
+};
+
+struct DiffusionResult {
+  std::vector<Rgb> fluence;     // one a point of the polygrid, W mm⁻²
+  std::vector<Rgb> exitance;    // one a vertex of the surface, W mm⁻², not negative
+  std::vector<Rgb> irradiance;  // q, one a vertex of the surface, W mm⁻²
+  EnergyBalance energy;
+  SolveReport solve;
+  Eigen::Array3d surface_entering, surface_leaving;  // ∫ q and ∫ M over the mesh, W: near the energy's by the grid
+  double negative_vertices = 0;                      // share of vertices where M was negative and set to 0
+  double largest_distance = 0;                       // between mesh and boundary quads, mm
+  Rgb cells_per_mean_free_path = Rgb::Zero();        // the least over the object, 1/(σ_tr h); 0: no absorption
+  double under_resolved = 0;                         // share of samples with fewer than four cells to it
+  double dark = 0;                                   // share of samples whose reduced albedo is below .53
+  std::int64_t light_directions = 0, light_facing_away = 0, light_occluded = 0;
+  std::int64_t samples_from_shell = 0, samples_floored = 0, samples = 0;
+};
+
+// Solves D1–D3 on the polygrid. The irradiance is found at the surface's vertices, with shadows, and averaged over the
+// hat functions of the outer points; the exitance is M of D3 at the outer points, carried to the vertices.
+// Both terms of M use the averaged irradiance: with the sharp one, φ being smooth, a shadow's edge would
+// show as a dark fringe on its lit side, and energy would not add up.
+// `material`: the shell with its core, or one homogeneous material. `ior` ≥ 1.
+// Throws: InputError, NumericalError.
+DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const TriangleMesh& surface,
+                                         const std::variant<const ShellVolume*, Material>& material, double ior,
+                                         const std::vector<Light>& lights, const DiffusionOptions& options,
+                                         Progress& progress = no_progress());
+
+}  // namespace shellgrid

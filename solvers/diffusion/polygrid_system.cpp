@@ -1,0 +1,320 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/diffusion/polygrid_system.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <string>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "solvers/diffusion/trilinear_cell.h"
+#include "solvers/scattering/fresnel.h"
+
+namespace shellgrid {
+namespace {
+
+// The 28 pairs of corners of a cell, and the pair's number from two corners.
+struct CornerPairs {
+  int number[8][8] = {};
+  int first[28] = {}, second[28] = {};
+  constexpr CornerPairs() {
+    int n = 0;
+    for (int a = 0; a < 8; ++a)
+      for (int b = a + 1; b < 8; ++b, ++n) {
+        number[a][b] = number[b][a] = n;
+        first[n] = a;
+        second[n] = b;
+      }
+  }
+};
+constexpr CornerPairs pairs;
+
+struct ElementTerms {
+  std::array<Float4, 28> coupling;   // −∫ D ∇h_a·∇h_b
+  std::array<Float4, 8> absorption;  // ∫ σ_a h_a
+};
+
+void check_indices(const Polygrid& polygrid) {
+  const auto points = static_cast<std::int32_t>(polygrid.points.rows());
+  if (points == 0 || polygrid.cells.rows() == 0) throw InputError("polygrid: it has no cells");
+  if (polygrid.boundary_quads.rows() == 0) throw InputError("polygrid: it has no boundary quads");
+  if ((polygrid.cells.array() < 0).any() || (polygrid.cells.array() >= points).any())
+    throw InputError("polygrid: a cell's point index is out of range");
+  if ((polygrid.boundary_quads.array() < 0).any() || (polygrid.boundary_quads.array() >= points).any())
+    throw InputError("polygrid: a boundary quad's point index is out of range");
+  if (polygrid.point_lattice.rows() != points || static_cast<std::int32_t>(polygrid.outer_twin.size()) != points ||
+      static_cast<Eigen::Index>(polygrid.cell_layer.size()) != polygrid.cells.rows())
+    throw InputError("polygrid: its arrays differ in length");
+  for (std::int32_t twin : polygrid.outer_twin)
+    if (twin >= points) throw InputError("polygrid: an outer point's twin is out of range");
+  if (!polygrid.points.allFinite()) throw InputError("polygrid: a coordinate is not finite");
+}
+
+// Throws for cells whose map is not one to one at a corner or a Gauss point; returns the volume.
+double check_cells(const Polygrid& polygrid) {
+  const TrilinearQuadrature& quadrature = TrilinearQuadrature::instance();
+  struct Finding {
+    std::int64_t inverted = 0, first = -1;
+    double volume = 0;
+    Finding operator+(const Finding& o) const {
+      return {inverted + o.inverted, first >= 0 ? first : o.first, volume + o.volume};
+    }
+  };
+  const Finding finding = parallel_sum(
+      static_cast<std::size_t>(polygrid.cells.rows()), Finding{},
+      [&](std::size_t cell) {
+        const CellCorners x = cell_corners(polygrid, static_cast<int>(cell));
+        double least = 1, volume = 0;
+        for (const TrilinearShape& shape : quadrature.corner) least = std::min(least, jacobian(x, shape).determinant());
+        for (const TrilinearShape& shape : quadrature.gauss) {
+          const double determinant = jacobian(x, shape).determinant();
+          least = std::min(least, determinant);
+          volume += determinant / 8;
+        }
+        Finding own;
+        own.volume = volume;
+        if (!(least > 0)) own = {1, static_cast<std::int64_t>(cell), volume};
+        return own;
+      },
+      512);
+  if (finding.inverted > 0) {
+    const CellCorners x = cell_corners(polygrid, static_cast<int>(finding.first));
+    const Vec3 centre = x.colwise().mean();
+    throw InputError("polygrid: " + std::to_string(finding.inverted) + " inverted or flat cells, the first (" +
+                     std::to_string(finding.first) + ") at " + std::to_string(centre.x()) + " " +
+                     std::to_string(centre.y()) + " " + std::to_string(centre.z()) + " mm; build the polygrid anew");
+  }
+  return finding.volume;
+}
+
+ElementTerms core_element(const CellCorners& x, const Rgb* absorption, const Rgb* reduced_extinction) {
+  ElementTerms terms{};
+  for (int q = 0; q < 8; ++q) {
+    const TrilinearShape& shape = TrilinearQuadrature::instance().gauss[q];
+    const Mat3 j = jacobian(x, shape);
+    const double determinant = j.determinant();
+    const Eigen::Matrix<double, 8, 3> gradient = shape.gradient * j.inverse().transpose();
+    const Float4 diffusion =
+        static_cast<float>(determinant / 8) / (3.0f * (to_lanes(reduced_extinction[q]) + Float4{0, 0, 0, 1}));
+    const Float4 loss = to_lanes(absorption[q]) * static_cast<float>(determinant / 8);
+    for (int n = 0; n < 28; ++n)
+      terms.coupling[n] -=
+          diffusion * static_cast<float>(gradient.row(pairs.first[n]).dot(gradient.row(pairs.second[n])));
+    for (int a = 0; a < 8; ++a) terms.absorption[a] += loss * static_cast<float>(shape.value[a]);
+  }
+  return terms;
+}
+
+// Corner quadrature: at corner a only a and its three edge neighbours have gradients.
+ElementTerms layer_element(const CellCorners& x, const Rgb* absorption, const Rgb* reduced_extinction) {
+  ElementTerms terms{};
+  for (int q = 0; q < 8; ++q) {
+    const TrilinearShape& shape = TrilinearQuadrature::instance().corner[q];
+    const Mat3 j = jacobian(x, shape);
+    const double determinant = j.determinant();
+    const Eigen::Matrix<double, 8, 3> gradient = shape.gradient * j.inverse().transpose();
+    const Float4 diffusion =
+        static_cast<float>(determinant / 8) / (3.0f * (to_lanes(reduced_extinction[q]) + Float4{0, 0, 0, 1}));
+    int active[4] = {q, 0, 0, 0}, count = 1;
+    for (int a = 0; a < 8; ++a)
+      if (a != q && !shape.gradient.row(a).isZero(0)) active[count++] = a;
+    for (int m = 0; m < count; ++m)
+      for (int n = m + 1; n < count; ++n)
+        terms.coupling[pairs.number[active[m]][active[n]]] -=
+            diffusion * static_cast<float>(gradient.row(active[m]).dot(gradient.row(active[n])));
+    terms.absorption[q] += to_lanes(absorption[q]) * static_cast<float>(determinant / 8);
+  }
+  return terms;
+}
+
+// Cells about each point: entries 8·cell + corner, ascending.
+struct Incidence {
+  std::vector<std::int64_t> start;
+  std::vector<std::int64_t> entry;
+};
+
+Incidence point_cells(const Polygrid& polygrid) {
+  Incidence incidence;
+  incidence.start.assign(polygrid.points.rows() + 1, 0);
+  for (Eigen::Index k = 0; k < polygrid.cells.size(); ++k) ++incidence.start[polygrid.cells.data()[k] + 1];
+  std::partial_sum(incidence.start.begin(), incidence.start.end(), incidence.start.begin());
+  incidence.entry.resize(polygrid.cells.size());
+  std::vector<std::int64_t> next(incidence.start.begin(), incidence.start.end() - 1);
+  for (Eigen::Index k = 0; k < polygrid.cells.size(); ++k) incidence.entry[next[polygrid.cells.data()[k]]++] = k;
+  return incidence;
+}
+
+void order_unknowns(const Polygrid& polygrid, PolygridSystem& system) {
+  const auto n = static_cast<std::size_t>(polygrid.points.rows());
+  std::vector<std::array<std::int32_t, 5>> order(n);
+  for (std::size_t i = 0; i < n; ++i)
+    order[i] = {polygrid.point_lattice(i, 2), polygrid.point_lattice(i, 1), polygrid.point_lattice(i, 0),
+                polygrid.outer_twin[i] >= 0 ? 1 : 0, static_cast<std::int32_t>(i)};
+  std::sort(order.begin(), order.end());
+  system.point_of_unknown.resize(n);
+  system.unknown_of_point.resize(n);
+  system.key.resize(n);
+  for (std::size_t u = 0; u < n; ++u) {
+    system.point_of_unknown[u] = order[u][4];
+    system.unknown_of_point[order[u][4]] = static_cast<std::int32_t>(u);
+    system.key[u] = {order[u][2], order[u][1], order[u][0], order[u][3]};
+  }
+}
+
+// Adds the elements' couplings up, row by row; a row's sum does not depend on threads, and A_ij = A_ji bit by bit.
+void gather_rows(const Polygrid& polygrid, const std::vector<ElementTerms>& elements, PolygridSystem& system) {
+  const Incidence incidence = point_cells(polygrid);
+  const std::size_t n = system.point_of_unknown.size();
+  struct Rows {
+    std::vector<std::int32_t> length, column;
+    std::vector<Float4> coupling;
+  };
+  constexpr std::size_t chunk = 2048;
+  std::vector<Rows> parts((n + chunk - 1) / chunk);
+  system.absorption.assign(n, Double4{});
+  parallel_chunks(n, chunk, [&](std::size_t begin, std::size_t end) {
+    Rows& rows = parts[begin / chunk];
+    rows.column.reserve((end - begin) * 28);
+    rows.coupling.reserve((end - begin) * 28);
+    std::vector<std::int32_t> column;
+    std::vector<Float4> coupling;
+    for (std::size_t u = begin; u < end; ++u) {
+      column.clear();
+      coupling.clear();
+      const std::int32_t point = system.point_of_unknown[u];
+      for (std::int64_t e = incidence.start[point]; e < incidence.start[point + 1]; ++e) {
+        const std::int64_t cell = incidence.entry[e] / 8;
+        const int a = static_cast<int>(incidence.entry[e] % 8);
+        system.absorption[u] += to_double(elements[cell].absorption[a]);
+        for (int b = 0; b < 8; ++b) {
+          if (b == a) continue;
+          const std::int32_t other = polygrid.cells(cell, b);
+          const std::size_t slot = std::find(column.begin(), column.end(), other) - column.begin();
+          if (slot == column.size()) {
+            column.push_back(other);
+            coupling.push_back(Float4{});
+          }
+          coupling[slot] += elements[cell].coupling[pairs.number[a][b]];
+        }
+      }
+      rows.length.push_back(static_cast<std::int32_t>(column.size()));
+      for (std::int32_t other : column) rows.column.push_back(system.unknown_of_point[other]);
+      rows.coupling.insert(rows.coupling.end(), coupling.begin(), coupling.end());
+    }
+  });
+  CouplingOperator& matrix = system.matrix;
+  matrix.row_start.assign(1, 0);
+  matrix.row_start.reserve(n + 1);
+  for (const Rows& rows : parts)
+    for (std::int32_t length : rows.length) matrix.row_start.push_back(matrix.row_start.back() + length);
+  matrix.column.resize(matrix.row_start.back());
+  matrix.coupling.resize(matrix.row_start.back());
+  parallel_for(
+      parts.size(),
+      [&](std::size_t p) {
+        const std::int64_t at = matrix.row_start[p * chunk];
+        std::copy(parts[p].column.begin(), parts[p].column.end(), matrix.column.begin() + at);
+        std::copy(parts[p].coupling.begin(), parts[p].coupling.end(), matrix.coupling.begin() + at);
+      },
+      1);
+}
+
+// ∫ h_i dA over the quads, 2×2 Gauss points each.
+void add_boundary_areas(const Polygrid& polygrid, PolygridSystem& system) {
+  system.boundary_area.assign(system.point_of_unknown.size(), 0.0);
+  const double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+  for (Eigen::Index quad = 0; quad < polygrid.boundary_quads.rows(); ++quad) {
+    Vec3 x[4];
+    for (int a = 0; a < 4; ++a) x[a] = polygrid.points.row(polygrid.boundary_quads(quad, a)).transpose();
+    for (double s : gauss)
+      for (double t : gauss) {
+        const Vec3 along_s = (1 - t) * (x[1] - x[0]) + t * (x[2] - x[3]);
+        const Vec3 along_t = (1 - s) * (x[3] - x[0]) + s * (x[2] - x[1]);
+        const double area = 0.25 * along_s.cross(along_t).norm();
+        const double value[4] = {(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t};
+        for (int a = 0; a < 4; ++a)
+          system.boundary_area[system.unknown_of_point[polygrid.boundary_quads(quad, a)]] += area * value[a];
+        system.surface_area += area;
+      }
+  }
+}
+
+}  // namespace
+
+void CouplingOperator::apply(const std::vector<Double4>& x, std::vector<Double4>& result) const {
+  result.resize(size());
+  parallel_for(
+      size(),
+      [&](std::size_t i) {
+        const Double4 own = x[i];
+        Double4 sum = reaction[i] * own;
+        for (std::int64_t k = row_start[i]; k < row_start[i + 1]; ++k)
+          sum += to_double(coupling[k]) * (own - x[column[k]]);
+        result[i] = sum;
+      },
+      1024);
+}
+
+PolygridSystem assemble_polygrid_system(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior) {
+  check_indices(polygrid);
+  const auto cells = static_cast<std::size_t>(polygrid.cells.rows());
+  if (coefficients.absorption.size() != 8 * cells || coefficients.reduced_extinction.size() != 8 * cells)
+    throw InputError("polygrid: the coefficients do not belong to its cells");
+  const DiffuseFresnel fresnel = diffuse_fresnel(ior);
+  PolygridSystem system;
+  system.boundary_factor = fresnel.boundary_factor;
+  system.current_reflectance = fresnel.current_reflectance;
+  system.volume = check_cells(polygrid);
+
+  std::vector<ElementTerms> elements(cells);
+  parallel_for(cells, [&](std::size_t cell) {
+    const CellCorners x = cell_corners(polygrid, static_cast<int>(cell));
+    const Rgb* absorption = coefficients.absorption.data() + 8 * cell;
+    const Rgb* reduced_extinction = coefficients.reduced_extinction.data() + 8 * cell;
+    elements[cell] = polygrid.cell_layer[cell] == 1 ? layer_element(x, absorption, reduced_extinction)
+                                                    : core_element(x, absorption, reduced_extinction);
+  });
+
+  order_unknowns(polygrid, system);
+  gather_rows(polygrid, elements, system);
+  add_boundary_areas(polygrid, system);
+  system.matrix.reaction = system.absorption;
+  for (std::size_t i = 0; i < system.boundary_area.size(); ++i)
+    system.matrix.reaction[i] += system.boundary_area[i] / (2 * system.boundary_factor);  // PHYSICS D2
+  return system;
+}
+
+std::vector<Double4> boundary_source(const PolygridSystem& system, const std::vector<Double4>& irradiance) {
+  std::vector<Double4> source(system.boundary_area.size(), Double4{});
+  for (std::size_t i = 0; i < source.size(); ++i)
+    source[i] = irradiance[i] * (2 * system.boundary_area[i] / (1 + system.current_reflectance));  // PHYSICS D2
+  return source;
+}
+
+std::vector<Double4> boundary_exitance(const PolygridSystem& system, const std::vector<Double4>& fluence,
+                                       const std::vector<Double4>& irradiance) {
+  std::vector<Double4> exitance(fluence.size(), Double4{});
+  const double reflected = (1 - system.current_reflectance) / (1 + system.current_reflectance);
+  for (std::size_t i = 0; i < exitance.size(); ++i)
+    if (system.boundary_area[i] > 0)
+      exitance[i] = fluence[i] / (2 * system.boundary_factor) - reflected * irradiance[i];  // PHYSICS D3 with D2
+  return exitance;
+}
+
+EnergyBalance energy_balance(const PolygridSystem& system, const std::vector<Double4>& fluence,
+                             const std::vector<Double4>& irradiance) {
+  const std::vector<Double4> exitance = boundary_exitance(system, fluence, irradiance);
+  EnergyBalance balance;
+  for (std::size_t i = 0; i < fluence.size(); ++i) {
+    balance.entering += system.boundary_area[i] * irradiance[i];
+    balance.leaving += system.boundary_area[i] * exitance[i];
+    balance.absorbed += system.absorption[i] * fluence[i];
+  }
+  balance.relative_defect = safe_quotient(balance.entering - balance.leaving - balance.absorbed, balance.entering);
+  for (int c = 0; c < 4; ++c) balance.relative_defect[c] = std::abs(balance.relative_defect[c]);
+  return balance;
+}
+
+}  // namespace shellgrid

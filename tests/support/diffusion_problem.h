@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// A polygrid, its system and its solution, for tests of the diffusion solver.
+#pragma once
+#include <functional>
+#include <vector>
+
+#include "solvers/diffusion/closed_forms.h"
+#include "solvers/diffusion/multigrid.h"
+#include "solvers/diffusion/polygrid_system.h"
+#include "tests/support/polygrid_shapes.h"
+
+namespace shellgrid::test {
+
+// The same material in all three channels.
+inline Material grey_material(const DiffusionCoefficients& c) {
+  return Material::from_absorption_scattering(Rgb::Constant(static_cast<float>(c.absorption)),
+                                              Rgb::Constant(static_cast<float>(c.reduced_scattering)), Rgb::Zero());
+}
+
+struct SolvedProblem {
+  Polygrid grid;
+  PolygridSystem system;
+  std::vector<Double4> irradiance, fluence, exitance;
+  SolveReport report;
+  EnergyBalance energy;
+
+  Vec3 position(std::size_t unknown) const { return grid.points.row(system.point_of_unknown[unknown]).transpose(); }
+};
+
+// `light(point)`: irradiance of channel 0, 1, 2 at outer points.
+inline SolvedProblem solve_problem(Polygrid grid, const CellCoefficients& coefficients, double ior,
+                                   const std::function<Double4(const Vec3&)>& light, double tolerance = 1e-9) {
+  SolvedProblem p;
+  p.grid = std::move(grid);
+  p.system = assemble_polygrid_system(p.grid, coefficients, ior);
+  p.irradiance.assign(p.system.key.size(), Double4{});
+  for (std::size_t u = 0; u < p.irradiance.size(); ++u)
+    if (p.system.boundary_area[u] > 0) p.irradiance[u] = light(p.position(u));
+  Multigrid multigrid(p.system);
+  p.report = solve_conjugate_gradients(p.system, multigrid, boundary_source(p.system, p.irradiance), p.irradiance,
+                                       tolerance, 100, p.fluence);
+  p.exitance = boundary_exitance(p.system, p.fluence, p.irradiance);
+  p.energy = energy_balance(p.system, p.fluence, p.irradiance);
+  return p;
+}
+
+inline Double4 uniform_light(const Vec3&) { return Double4{1, 1, 1, 0}; }
+
+// Relative L2 error of the exitance of channel 0 over the surface.
+inline double exitance_error(const SolvedProblem& p, const std::function<double(const Vec3&)>& exact) {
+  double error = 0, size = 0;
+  for (std::size_t u = 0; u < p.exitance.size(); ++u) {
+    if (!(p.system.boundary_area[u] > 0)) continue;
+    const double expected = exact(p.position(u));
+    error += p.system.boundary_area[u] * (p.exitance[u][0] - expected) * (p.exitance[u][0] - expected);
+    size += p.system.boundary_area[u] * expected * expected;
+  }
+  return std::sqrt(error / size);
+}
+
+// Relative L2 error of the fluence of channel 0 over the points.
+inline double fluence_error(const SolvedProblem& p, const std::function<double(const Vec3&)>& exact) {
+  double error = 0, size = 0;
+  for (std::size_t u = 0; u < p.fluence.size(); ++u) {
+    const double expected = exact(p.position(u));
+    error += (p.fluence[u][0] - expected) * (p.fluence[u][0] - expected);
+    size += expected * expected;
+  }
+  return std::sqrt(error / size);
+}
+
+// σ_t' scaled by a factor that varies by `contrast` from sample to sample, at random.
+inline void add_contrast(CellCoefficients& coefficients, double contrast) {
+  for (std::size_t k = 0; k < coefficients.reduced_extinction.size(); ++k) {
+    // Cells, not samples, differ, as voxels do.
+    std::uint64_t bits = 0x9e3779b97f4a7c15ull * (k / 8 + 1);
+    bits = (bits ^ (bits >> 31)) * 0xbf58476d1ce4e5b9ull;
+    const double unit = static_cast<double>((bits ^ (bits >> 29)) >> 11) * 0x1.0p-53;
+    coefficients.reduced_extinction[k] *= static_cast<float>(std::pow(contrast, unit - 0.5));
+  }
+}
+
+}  // namespace shellgrid::test
