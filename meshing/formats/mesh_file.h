@@ -11,6 +11,8 @@ namespace shellgrid {
 // of a PLY file other than x y z are kept. Throws: InputError, one line, for an empty, truncated or malformed file, a
 // header that promises more than the file holds, an index out of range, coordinates that are not finite.
 AttributedMesh read_mesh(const std::string& path);
+// The same, but the file may hold points without faces.
+AttributedMesh read_points(const std::string& path);
 
 // Writes binary little-endian PLY: double x y z, float properties in their order, int triangles.
 // Properties named red, green, blue become uchar, clamped to 0…255. Deterministic bytes; written atomically.

@@ -24,10 +24,16 @@ struct VdbArchive {
   GridFrame frame;
   std::vector<Entry> grids;
   std::map<std::string, std::string> metadata;
+  std::string path;  // where it was read from, for messages
 
   // Throws: InputError "PATH: no grid NAME of that type" where it is missing.
   template <class T>
   const TwoLevelGrid<T>& get(const std::string& name) const;
+  // Metadata as finite numbers separated by blanks, digits enough to come back exactly. Throws: InputError where they
+  // are missing or malformed.
+  double number(const std::string& key) const;
+  std::vector<double> numbers(const std::string& key, std::size_t count) const;
+  void set_numbers(const std::string& key, const std::vector<double>& values);
 };
 
 // Reads every float, int32 and vec3s grid of an OpenVDB file; other grids are skipped. Files that

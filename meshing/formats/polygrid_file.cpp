@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Tetrahedral meshes and polygrids as VTKHDF files. FORMATS.md lists their arrays.
+#include <fmt/format.h>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/vtkhdf_file.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr std::uint8_t vtk_tetrahedron = 10, vtk_hexahedron = 12;
+
+template <class T, class Derived>
+DataArray array_of(const std::string& name, const Eigen::PlainObjectBase<Derived>& matrix) {
+  return {name, static_cast<int>(Derived::ColsAtCompileTime),
+          std::vector<T>(matrix.data(), matrix.data() + matrix.size())};
+}
+
+template <class Matrix>
+void append_cells(UnstructuredGrid& grid, const Matrix& cells, std::uint8_t type) {
+  for (Eigen::Index c = 0; c < cells.rows(); ++c) {
+    for (Eigen::Index k = 0; k < cells.cols(); ++k) grid.connectivity.push_back(cells(c, k));
+    grid.offsets.push_back(static_cast<std::int64_t>(grid.connectivity.size()));
+    grid.types.push_back(type);
+  }
+}
+
+// The cells [first, first + count) as rows of a matrix.
+template <class Matrix>
+Matrix cells_of(const std::string& path, const UnstructuredGrid& grid, std::size_t first, std::size_t count,
+                std::uint8_t type) {
+  Matrix cells(static_cast<Eigen::Index>(count), Matrix::ColsAtCompileTime);
+  for (std::size_t c = 0; c < count; ++c) {
+    if (grid.types[first + c] != type)
+      throw InputError(
+          fmt::format("{}: cell {} has the type {}; expected {}", path, first + c, grid.types[first + c], type));
+    for (Eigen::Index k = 0; k < cells.cols(); ++k)
+      cells(static_cast<Eigen::Index>(c), k) =
+          static_cast<std::int32_t>(grid.connectivity[static_cast<std::size_t>(grid.offsets[first + c] + k)]);
+  }
+  return cells;
+}
+
+void check_point_count(const std::string& path, const UnstructuredGrid& grid) {
+  if (grid.points.rows() > 2147483647) throw InputError(path + ": more than 2147483647 points");
+}
+
+// The values of an array that must be there with this type and shape.
+template <class T>
+const std::vector<T>& values_of(const std::string& path, const DataArray* array, const std::string& name, int columns,
+                                std::size_t rows) {
+  if (array == nullptr) throw InputError(fmt::format("{}: not a polygrid: the array {} is missing", path, name));
+  const auto* values = std::get_if<std::vector<T>>(&array->values);
+  if (values == nullptr) throw InputError(fmt::format("{}: the array {} has the wrong type", path, name));
+  if (array->columns != columns || values->size() != rows * static_cast<std::size_t>(columns))
+    throw InputError(fmt::format("{}: the array {} has {} values in {} columns; expected {}×{}", path, name,
+                                 values->size(), array->columns, rows, columns));
+  return *values;
+}
+
+template <class Matrix, class T>
+Matrix matrix_of(const std::vector<T>& values) {
+  return Eigen::Map<const Matrix>(values.data(), static_cast<Eigen::Index>(values.size()) / Matrix::ColsAtCompileTime,
+                                  Matrix::ColsAtCompileTime);
+}
+
+void check_indices(const std::string& path, const std::string& name, const std::vector<std::int32_t>& indices,
+                   std::int64_t least, std::int64_t end) {
+  for (std::int32_t index : indices)
+    if (index < least || index >= end)
+      throw InputError(fmt::format("{}: the array {} holds {}, which is out of range", path, name, index));
+}
+
+}  // namespace
+
+void write_tetrahedra(const std::string& path, const TetrahedralMesh& mesh) {
+  UnstructuredGrid grid;
+  grid.points = mesh.points;
+  grid.offsets = {0};
+  append_cells(grid, mesh.tetrahedra, vtk_tetrahedron);
+  write_vtkhdf(path, grid);
+}
+
+TetrahedralMesh read_tetrahedra(const std::string& path) {
+  const UnstructuredGrid grid = read_vtkhdf(path);
+  check_point_count(path, grid);
+  if (grid.types.empty()) throw InputError(path + ": the file holds no tetrahedra");
+  return {grid.points, cells_of<TetMatrix>(path, grid, 0, grid.types.size(), vtk_tetrahedron)};
+}
+
+void write_polygrid(const std::string& path, const Polygrid& polygrid) {
+  UnstructuredGrid grid;
+  grid.points = polygrid.points;
+  grid.offsets = {0};
+  append_cells(grid, polygrid.cells, vtk_hexahedron);
+  const PolygridGraph& graph = polygrid.graph;
+  grid.point_data = {array_of<std::int32_t>("lattice", polygrid.point_lattice),
+                     {"outer_twin", 1, polygrid.outer_twin},
+                     array_of<double>("normal", polygrid.point_normal)};
+  grid.cell_data = {{"layer", 1, polygrid.cell_layer}, array_of<std::int32_t>("cell_lattice", polygrid.cell_lattice)};
+  grid.field_data = {array_of<std::int32_t>("boundary_quads", polygrid.boundary_quads),
+                     array_of<double>("graph_interior", graph.interior),
+                     array_of<double>("graph_boundary", graph.boundary),
+                     array_of<double>("graph_boundary_normal", graph.boundary_normal),
+                     {"graph_boundary_owner", 1, graph.boundary_owner},
+                     {"graph_boundary_distance", 1, graph.boundary_distance},
+                     array_of<std::int32_t>("graph_links", graph.links),
+                     array_of<double>("graph_weights", graph.weights),
+                     {"graph_weight_condition", 1, graph.weight_condition}};
+  grid.attributes["spacing"] = polygrid.spacing;
+  write_vtkhdf(path, grid);
+}
+
+Polygrid read_polygrid(const std::string& path) {
+  const UnstructuredGrid grid = read_vtkhdf(path);
+  check_point_count(path, grid);
+  if (grid.types.empty()) throw InputError(path + ": the file holds no cells");
+  const auto points = static_cast<std::size_t>(grid.points.rows());
+  const std::size_t cells = grid.types.size();
+  const auto field_rows = [&](const std::string& name, int columns) {
+    const DataArray* array = grid.find_field(name);
+    if (array == nullptr) return std::size_t{0};
+    return std::visit([&](const auto& v) { return v.size() / static_cast<std::size_t>(columns); }, array->values);
+  };
+  const auto field = [&]<class T>(T, const std::string& name, int columns, std::size_t rows) -> const std::vector<T>& {
+    return values_of<T>(path, grid.find_field(name), name, columns, rows);
+  };
+  Polygrid polygrid;
+  polygrid.points = grid.points;
+  polygrid.cells = cells_of<HexMatrix>(path, grid, 0, cells, vtk_hexahedron);
+  polygrid.cell_layer = values_of<std::uint8_t>(path, grid.find_cell("layer"), "layer", 1, cells);
+  polygrid.cell_lattice = matrix_of<decltype(polygrid.cell_lattice)>(
+      values_of<std::int32_t>(path, grid.find_cell("cell_lattice"), "cell_lattice", 3, cells));
+  polygrid.point_lattice = matrix_of<decltype(polygrid.point_lattice)>(
+      values_of<std::int32_t>(path, grid.find_point("lattice"), "lattice", 3, points));
+  polygrid.outer_twin = values_of<std::int32_t>(path, grid.find_point("outer_twin"), "outer_twin", 1, points);
+  polygrid.point_normal =
+      matrix_of<VertexMatrix>(values_of<double>(path, grid.find_point("normal"), "normal", 3, points));
+  polygrid.boundary_quads =
+      matrix_of<QuadMatrix>(field(std::int32_t{}, "boundary_quads", 4, field_rows("boundary_quads", 4)));
+  const auto spacing = grid.attributes.find("spacing");
+  if (spacing == grid.attributes.end()) throw InputError(path + ": not a polygrid: the array spacing is missing");
+  polygrid.spacing = spacing->second;
+
+  PolygridGraph& graph = polygrid.graph;
+  const std::size_t interior = field_rows("graph_interior", 3), boundary = field_rows("graph_boundary", 3);
+  graph.interior = matrix_of<VertexMatrix>(field(double{}, "graph_interior", 3, interior));
+  graph.boundary = matrix_of<VertexMatrix>(field(double{}, "graph_boundary", 3, boundary));
+  graph.boundary_normal = matrix_of<VertexMatrix>(field(double{}, "graph_boundary_normal", 3, boundary));
+  graph.boundary_owner = field(std::int32_t{}, "graph_boundary_owner", 1, boundary);
+  graph.boundary_distance = field(double{}, "graph_boundary_distance", 1, boundary);
+  const std::vector<std::int32_t>& links = field(std::int32_t{}, "graph_links", 6, interior);
+  graph.links = matrix_of<decltype(graph.links)>(links);
+  graph.weights = matrix_of<decltype(graph.weights)>(field(double{}, "graph_weights", 6, interior));
+  graph.weight_condition = field(double{}, "graph_weight_condition", 1, interior);
+
+  const auto signed_points = static_cast<std::int64_t>(points);
+  check_indices(path, "outer_twin", polygrid.outer_twin, -1, signed_points);
+  check_indices(path, "boundary_quads", field(std::int32_t{}, "boundary_quads", 4, field_rows("boundary_quads", 4)), 0,
+                signed_points);
+  check_indices(path, "graph_boundary_owner", graph.boundary_owner, 0, static_cast<std::int64_t>(interior));
+  check_indices(path, "graph_links", links, -static_cast<std::int64_t>(boundary), static_cast<std::int64_t>(interior));
+  return polygrid;
+}
+
+}  // namespace shellgrid

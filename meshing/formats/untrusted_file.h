@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// How files are read whose library may crash on corrupt ones: what this project wrote carries a seal,
+// a hash of its own bytes; a file without a valid seal is first read by a child process with limits.
+#pragma once
+#include <functional>
+#include <string>
+#include <string_view>
+
+namespace shellgrid {
+
+// XXH3 of the bytes with 128 bits, as 32 hexadecimal digits.
+std::string seal_of(std::string_view bytes);
+
+// A library's message on one line.
+std::string one_line(std::string message);
+
+// Calls read() in a child process of limited memory and time. Throws: InputError with the message of what read()
+// threw, or "PATH: … is corrupt" if the child crashed, ran out of memory or took too long.
+void rehearse_reading(const std::string& path, const std::string& kind, const std::function<void()>& read);
+
+}  // namespace shellgrid

@@ -1,0 +1,411 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// The only file that includes OpenVDB.
+#include "meshing/formats/vdb_file.h"
+
+#include <fmt/format.h>
+#include <openvdb/io/Archive.h>
+#include <openvdb/io/File.h>
+#include <openvdb/io/io.h>
+#include <openvdb/openvdb.h>
+#include <openvdb/tools/SignedFloodFill.h>
+#include <openvdb/tools/VolumeToMesh.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <sstream>
+#include <type_traits>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/output_file.h"
+#include "meshing/formats/untrusted_file.h"
+
+namespace shellgrid {
+namespace {
+
+// The file's header: magic number, versions, a flag, then the id as 36 characters, then the content.
+constexpr std::size_t id_at = 8 + 4 + 8 + 1;
+constexpr std::size_t id_size = 36;
+// Of the dense top array, in leaves.
+constexpr double most_top_cells = double{1 << 28};
+
+template <class T>
+struct VdbGridOf;
+template <>
+struct VdbGridOf<float> {
+  using Type = openvdb::FloatGrid;
+};
+template <>
+struct VdbGridOf<std::int32_t> {
+  using Type = openvdb::Int32Grid;
+};
+template <>
+struct VdbGridOf<Vec3f> {
+  using Type = openvdb::Vec3SGrid;
+};
+
+template <class T>
+auto to_vdb(const T& value) {
+  if constexpr (std::is_same_v<T, Vec3f>)
+    return openvdb::Vec3s(value.x(), value.y(), value.z());
+  else
+    return value;
+}
+
+template <class V>
+auto from_vdb(const V& value) {
+  if constexpr (std::is_same_v<V, openvdb::Vec3s>)
+    return Vec3f(value.x(), value.y(), value.z());
+  else
+    return value;
+}
+
+// Gives access to the writer for any stream.
+class StreamArchive : public openvdb::io::Archive {
+ public:
+  std::string encode(const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& metadata) const {
+    std::ostringstream stream(std::ios::binary);
+    openvdb::io::Archive::write(stream, grids, /*seekable=*/true, metadata);
+    if (!stream) throw InternalError("OpenVDB: writing to memory failed");
+    return std::move(stream).str();
+  }
+};
+
+void initialize_library() {
+  static const bool once = [] {
+    openvdb::initialize();
+    return true;
+  }();
+  (void)once;
+}
+
+std::string id_of_content(const std::string& bytes) {
+  std::string id = seal_of(std::string_view(bytes).substr(id_at + id_size));
+  for (std::size_t at : {8, 13, 18, 23}) id.insert(at, "-");
+  return id;
+}
+
+bool has_valid_seal(const std::string& bytes) {
+  return bytes.size() > id_at + id_size && bytes.compare(id_at, id_size, id_of_content(bytes)) == 0;
+}
+
+openvdb::math::Transform::Ptr transform_of(const GridFrame& frame) {
+  const openvdb::Vec3d origin(frame.origin.x(), frame.origin.y(), frame.origin.z());
+  return std::make_shared<openvdb::math::Transform>(
+      openvdb::math::MapBase::Ptr(new openvdb::math::UniformScaleTranslateMap(frame.voxel, origin)));
+}
+
+GridFrame frame_of(const std::string& path, const openvdb::GridBase& grid) {
+  const auto fail = [&] {
+    throw InputError(
+        fmt::format("{}: the transform of the grid '{}' is not uniform scale and translation", path, grid.getName()));
+  };
+  if (!grid.transform().isLinear()) fail();
+  const openvdb::Mat4R matrix = grid.transform().baseMap()->getAffineMap()->getMat4();
+  GridFrame frame;
+  frame.voxel = matrix(0, 0);
+  if (!(frame.voxel > 0) || !std::isfinite(frame.voxel)) fail();
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) {
+      const double expected = row == column ? frame.voxel : 0;
+      if (!(std::abs(matrix(row, column) - expected) <= 1e-9 * frame.voxel)) fail();
+    }
+    frame.origin[row] = matrix(3, row);
+    if (!std::isfinite(frame.origin[row])) fail();
+  }
+  return frame;
+}
+
+template <class T>
+typename VdbGridOf<T>::Type::Ptr to_vdb_grid(const TwoLevelGrid<T>& grid, const GridFrame& frame) {
+  using Grid = typename VdbGridOf<T>::Type;
+  using Leaf = typename Grid::TreeType::LeafNodeType;
+  auto result = Grid::create(to_vdb(grid.background()));
+  result->setTransform(transform_of(frame));
+  for (int leaf_index = 0; leaf_index < grid.leaf_count(); ++leaf_index) {
+    const Vec3i base = grid.leaf_coordinate(leaf_index) * TwoLevelGrid<T>::leaf_edge;
+    auto* leaf = new Leaf(openvdb::Coord(base.x(), base.y(), base.z()), to_vdb(grid.background()), false);
+    const T* from = grid.leaf_values(leaf_index);
+    auto* to = leaf->buffer().data();
+    for (int n = 0; n < TwoLevelGrid<T>::leaf_size; ++n) to[n] = to_vdb(from[n]);
+    typename Leaf::NodeMaskType mask;
+    for (int word = 0; word < 8; ++word)
+      mask.template getWord<openvdb::Index64>(static_cast<openvdb::Index>(word)) =
+          grid.leaf_mask(leaf_index)[static_cast<std::size_t>(word)];
+    leaf->setValueMask(mask);
+    result->tree().addLeaf(leaf);
+  }
+  return result;
+}
+
+template <class T>
+TwoLevelGrid<T> from_vdb_grid(const std::string& path, typename VdbGridOf<T>::Type& grid) {
+  using Leaf = typename VdbGridOf<T>::Type::TreeType::LeafNodeType;
+  const auto& tree_now = grid.tree();
+  if (tree_now.activeTileCount() > 0) {
+    // Bounds what making leaves of active tiles may allocate.
+    if (tree_now.activeVoxelCount() > openvdb::Index64{1} << 28)
+      throw InputError(fmt::format("{}: the grid '{}' has more than 2^28 active voxels", path, grid.getName()));
+    grid.tree().voxelizeActiveTiles(false);
+  }
+  std::vector<const Leaf*> leaves;
+  for (auto it = grid.tree().cbeginLeaf(); it; ++it) leaves.push_back(&*it);
+  std::sort(leaves.begin(), leaves.end(), [](const Leaf* a, const Leaf* b) { return a->origin() < b->origin(); });
+  const T background = from_vdb(grid.background());
+  if (leaves.empty()) return TwoLevelGrid<T>(Vec3i::Zero(), Vec3i::Zero(), background);
+  Vec3i lower = Vec3i::Constant(std::numeric_limits<int>::max()),
+        upper = Vec3i::Constant(std::numeric_limits<int>::min());
+  const auto leaf_coordinate = [](const Leaf& leaf) {
+    const openvdb::Coord origin = leaf.origin();
+    return Vec3i(origin.x() >> 3, origin.y() >> 3, origin.z() >> 3);
+  };
+  for (const Leaf* leaf : leaves) {
+    lower = lower.cwiseMin(leaf_coordinate(*leaf));
+    upper = upper.cwiseMax(leaf_coordinate(*leaf));
+  }
+  const Vec3 counts = (upper.cast<double>() - lower.cast<double>()).array() + 1;
+  if (counts.prod() > most_top_cells)
+    throw InputError(fmt::format("{}: the grid '{}' spans {:.0f}×{:.0f}×{:.0f} leaves, too many for a dense top array",
+                                 path, grid.getName(), counts.x(), counts.y(), counts.z()));
+  TwoLevelGrid<T> result(lower, upper - lower + Vec3i::Ones(), background);
+  for (const Leaf* leaf : leaves) {
+    const int leaf_index = result.allocate_leaf(leaf_coordinate(*leaf));
+    const auto* from = leaf->buffer().data();
+    T* to = result.leaf_values(leaf_index);
+    for (int n = 0; n < TwoLevelGrid<T>::leaf_size; ++n) to[n] = from_vdb(from[n]);
+    for (int word = 0; word < 8; ++word)
+      result.leaf_mask(leaf_index)[static_cast<std::size_t>(word)] =
+          leaf->getValueMask().template getWord<openvdb::Index64>(static_cast<openvdb::Index>(word));
+  }
+  return result;
+}
+
+// Adds the grid to the archive if it is of type T.
+template <class T>
+bool take(const std::string& path, const openvdb::GridBase::Ptr& grid, VdbArchive& archive) {
+  const auto typed = openvdb::gridPtrCast<typename VdbGridOf<T>::Type>(grid);
+  if (!typed) return false;
+  archive.grids.push_back({grid->getName(), from_vdb_grid<T>(path, *typed)});
+  return true;
+}
+
+VdbArchive parse(const std::string& path) {
+  VdbArchive archive;
+  try {
+    openvdb::io::File file(path);
+    file.open(/*delayLoad=*/false);
+    const openvdb::MetaMap::Ptr metadata = file.getMetadata();
+    for (auto it = metadata->beginMeta(); it != metadata->endMeta(); ++it)
+      archive.metadata[it->first] = it->second ? it->second->str() : std::string();
+    const openvdb::GridPtrVecPtr grids = file.getGrids();
+    bool has_frame = false;
+    for (const openvdb::GridBase::Ptr& grid : *grids) {
+      if (!grid) continue;
+      if (!take<float>(path, grid, archive) && !take<std::int32_t>(path, grid, archive) &&
+          !take<Vec3f>(path, grid, archive))
+        continue;
+      const GridFrame frame = frame_of(path, *grid);
+      if (has_frame && (frame.voxel != archive.frame.voxel || frame.origin != archive.frame.origin))
+        throw InputError(fmt::format("{}: the grid '{}' lies in another frame than '{}'", path, grid->getName(),
+                                     archive.grids.front().name));
+      archive.frame = frame;
+      has_frame = true;
+    }
+  } catch (const InputError&) {
+    throw;
+  } catch (const std::exception& error) {
+    throw InputError(fmt::format("{}: not a readable OpenVDB file: {}", path, one_line(error.what())));
+  }
+  if (archive.grids.empty()) throw InputError(path + ": the file holds no float, int32 or vec3s grid");
+  return archive;
+}
+
+template <class T>
+const TwoLevelGrid<T>* find(const VdbArchive& archive, const std::string& name) {
+  for (const VdbArchive::Entry& entry : archive.grids)
+    if (entry.name == name)
+      if (const auto* grid = std::get_if<TwoLevelGrid<T>>(&entry.grid)) return grid;
+  return nullptr;
+}
+
+}  // namespace
+
+template <class T>
+const TwoLevelGrid<T>& VdbArchive::get(const std::string& name) const {
+  if (const auto* grid = find<T>(*this, name)) return *grid;
+  const char* type = std::is_same_v<T, float> ? "float" : std::is_same_v<T, Vec3f> ? "vec3s" : "int32";
+  throw InputError(fmt::format("{}: no grid '{}' of type {}", path.empty() ? "volume" : path, name, type));
+}
+template const TwoLevelGrid<float>& VdbArchive::get(const std::string&) const;
+template const TwoLevelGrid<std::int32_t>& VdbArchive::get(const std::string&) const;
+template const TwoLevelGrid<Vec3f>& VdbArchive::get(const std::string&) const;
+
+double VdbArchive::number(const std::string& key) const { return numbers(key, 1)[0]; }
+
+std::vector<double> VdbArchive::numbers(const std::string& key, std::size_t count) const {
+  const std::string shown = path.empty() ? "volume" : path;
+  const auto entry = metadata.find(key);
+  if (entry == metadata.end()) throw InputError(fmt::format("{}: the metadata '{}' is missing", shown, key));
+  std::vector<double> values;
+  const char* text = entry->second.c_str();
+  for (;;) {
+    char* end = nullptr;
+    const double value = std::strtod(text, &end);
+    if (end == text) break;
+    values.push_back(value);
+    text = end;
+  }
+  while (*text == ' ') ++text;
+  if (*text != '\0' || values.size() != count ||
+      !std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); }))
+    throw InputError(fmt::format("{}: the metadata '{}' is '{}'; expected {} number{}", shown, key,
+                                 one_line(entry->second), count, count == 1 ? "" : "s"));
+  return values;
+}
+
+void VdbArchive::set_numbers(const std::string& key, const std::vector<double>& values) {
+  metadata[key] = fmt::format("{}", fmt::join(values, " "));
+}
+
+VdbArchive read_vdb(const std::string& path) {
+  initialize_library();
+  {
+    const std::string bytes = read_text(path);
+    if (bytes.empty()) throw InputError(path + ": the file is empty");
+    if (bytes.size() < 8 || bytes.compare(0, 8, std::string(" BDV\0\0\0\0", 8)) != 0)
+      throw InputError(path + ": not an OpenVDB file");
+    if (!has_valid_seal(bytes)) rehearse_reading(path, "OpenVDB", [&] { new VdbArchive(parse(path)); });
+  }
+  VdbArchive archive = parse(path);
+  archive.path = path;
+  return archive;
+}
+
+void write_vdb(const std::string& path, const VdbArchive& archive) {
+  initialize_library();
+  std::string bytes;
+  try {
+    openvdb::GridCPtrVec grids;
+    for (const VdbArchive::Entry& entry : archive.grids) {
+      const openvdb::GridBase::Ptr grid = std::visit(
+          [&](const auto& typed) -> openvdb::GridBase::Ptr { return to_vdb_grid(typed, archive.frame); }, entry.grid);
+      grid->setName(entry.name);
+      grids.push_back(grid);
+    }
+    openvdb::MetaMap metadata;
+    for (const auto& [key, text] : archive.metadata) metadata.insertMeta(key, openvdb::StringMetadata(text));
+    StreamArchive stream;
+    stream.setCompression(
+        openvdb::io::COMPRESS_ACTIVE_MASK |
+        (openvdb::io::Archive::hasBloscCompression() ? openvdb::io::COMPRESS_BLOSC : openvdb::io::COMPRESS_ZIP));
+    stream.setGridStatsMetadataEnabled(false);
+    bytes = stream.encode(grids, metadata);
+  } catch (const openvdb::Exception& error) {
+    throw InternalError(fmt::format("{}: OpenVDB: {}", path, one_line(error.what())));
+  }
+  bytes.replace(id_at, id_size, id_of_content(bytes));
+  write_text_atomically(path, bytes);
+}
+
+DistanceField read_distance_field(const std::string& path) {
+  const VdbArchive archive = read_vdb(path);
+  DistanceField field;
+  field.frame = archive.frame;
+  field.inside_band = archive.number("inside_band");
+  field.outside_band = archive.number("outside_band");
+  field.distance = archive.get<float>("distance");
+  field.nearest_vertex = archive.get<std::int32_t>("nearest_vertex");
+  field.nearest_point = archive.get<Vec3f>("nearest_point");
+  return field;
+}
+
+void write_distance_field(const std::string& path, const DistanceField& field) {
+  VdbArchive archive;
+  archive.frame = field.frame;
+  archive.grids = {
+      {"distance", field.distance}, {"nearest_vertex", field.nearest_vertex}, {"nearest_point", field.nearest_point}};
+  archive.metadata["kind"] = "distance field";
+  archive.set_numbers("inside_band", {field.inside_band});
+  archive.set_numbers("outside_band", {field.outside_band});
+  write_vdb(path, archive);
+}
+
+namespace {
+
+std::vector<double> components(const Rgb& colour) { return {colour[0], colour[1], colour[2]}; }
+
+Rgb colour_of(const VdbArchive& archive, const std::string& key) {
+  const std::vector<double> values = archive.numbers(key, 3);
+  return {static_cast<float>(values[0]), static_cast<float>(values[1]), static_cast<float>(values[2])};
+}
+
+}  // namespace
+
+ShellVolume read_shell_volume(const std::string& path) {
+  const VdbArchive archive = read_vdb(path);
+  ShellVolume shell;
+  shell.frame = archive.frame;
+  shell.texture_coordinate = archive.get<Vec3f>("texture_coordinate");
+  shell.extinction = archive.get<Vec3f>("extinction");
+  shell.albedo = archive.get<Vec3f>("albedo");
+  shell.anisotropy = archive.get<Vec3f>("anisotropy");
+  shell.normal = archive.get<Vec3f>("normal");
+  shell.kind = archive.get<std::int32_t>("kind");
+  shell.core.extinction = colour_of(archive, "core_extinction");
+  shell.core.albedo = colour_of(archive, "core_albedo");
+  shell.core.anisotropy = colour_of(archive, "core_anisotropy");
+  shell.thickness = archive.number("thickness");
+  shell.ior = archive.number("ior");
+  return shell;
+}
+
+void write_shell_volume(const std::string& path, const ShellVolume& shell) {
+  VdbArchive archive;
+  archive.frame = shell.frame;
+  archive.grids = {{"texture_coordinate", shell.texture_coordinate},
+                   {"extinction", shell.extinction},
+                   {"albedo", shell.albedo},
+                   {"anisotropy", shell.anisotropy},
+                   {"normal", shell.normal},
+                   {"kind", shell.kind}};
+  archive.metadata["kind"] = "shell volume";
+  archive.set_numbers("core_extinction", components(shell.core.extinction));
+  archive.set_numbers("core_albedo", components(shell.core.albedo));
+  archive.set_numbers("core_anisotropy", components(shell.core.anisotropy));
+  archive.set_numbers("thickness", {shell.thickness});
+  archive.set_numbers("ior", {shell.ior});
+  write_vdb(path, archive);
+}
+
+TriangleMesh extract_isosurface(const TwoLevelGrid<float>& grid, const GridFrame& frame, double isovalue) {
+  initialize_library();
+  const auto volume = to_vdb_grid(grid, frame);
+  // Of a signed distance, the unallocated leaves inside hold the outside's background: give them the inside's sign.
+  if (grid.background() > isovalue && grid.leaf_count() > 0) {
+    for (auto leaf = volume->tree().beginLeaf(); leaf; ++leaf)
+      for (int n = 0; n < 512; ++n) leaf->buffer().data()[n] -= static_cast<float>(isovalue);
+    const float outside = static_cast<float>(grid.background() - isovalue);
+    volume->tree().root().setBackground(outside, false);
+    openvdb::tools::signedFloodFillWithValues(volume->tree(), outside, -outside);
+    isovalue = 0;
+  }
+  std::vector<openvdb::Vec3s> points;
+  std::vector<openvdb::Vec3I> triangles;
+  std::vector<openvdb::Vec4I> quads;
+  openvdb::tools::volumeToMesh(*volume, points, triangles, quads, isovalue, 0.0);
+  TriangleMesh mesh;
+  mesh.vertices.resize(static_cast<Eigen::Index>(points.size()), 3);
+  for (std::size_t i = 0; i < points.size(); ++i)
+    mesh.vertices.row(static_cast<Eigen::Index>(i)) << points[i].x(), points[i].y(), points[i].z();
+  mesh.faces.resize(static_cast<Eigen::Index>(triangles.size() + 2 * quads.size()), 3);
+  Eigen::Index f = 0;
+  // OpenVDB's polygons are clockwise seen from the side of greater values.
+  const auto add = [&](openvdb::Index32 a, openvdb::Index32 b, openvdb::Index32 c) {
+    mesh.faces.row(f++) << static_cast<int>(a), static_cast<int>(c), static_cast<int>(b);
+  };
+  for (const openvdb::Vec3I& t : triangles) add(t[0], t[1], t[2]);
+  for (const openvdb::Vec4I& q : quads) add(q[0], q[1], q[2]), add(q[0], q[2], q[3]);
+  return mesh;
+}
+
+}  // namespace shellgrid
