@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/image_file.h"
+#include "meshing/formats/mesh_file.h"
+#include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/scene.h"
+#include "solvers/render/surface_render.h"
+#include "solvers/render/tone_map.h"
+
+using namespace shellgrid;
+
+namespace {
+
+TranslucentSurface translucent_surface(const std::string& path, const AttributedMesh& surface, double ior) {
+  const std::vector<float>* channels[3];
+  for (int k = 0; k < 3; ++k) {
+    const std::string name = std::string("exitance_") + "rgb"[k];
+    channels[k] = surface.find(name);
+    if (!channels[k])
+      throw InputError(path + ": no vertex property " + name + "; expected the exitance that sg-diffuse writes");
+  }
+  TranslucentSurface result;
+  result.ior = ior;
+  for (int v = 0; v < surface.mesh.vertex_count(); ++v)
+    result.exitance.emplace_back((*channels[0])[v], (*channels[1])[v], (*channels[2])[v]);
+  return result;
+}
+
+double exposure_stops(const std::string& option, const Scene& scene, const Image& image) {
+  if (option == "scene" && scene.exposure) return *scene.exposure;
+  if (option == "scene" || option == "auto") return automatic_exposure(image);
+  std::size_t used = 0;
+  double stops = 0;
+  try {
+    stops = std::stod(option, &used);
+  } catch (const std::exception&) {
+    used = 0;
+  }
+  if (used != option.size() || !(std::abs(stops) <= 100))
+    throw InputError("--exposure is '" + option + "'; expected scene, auto or a number of stops");
+  return stops;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  StageProgram program("render", "Renders the picture: exit light, mirror light and surroundings, as EXR layers and PNG.");
+  std::string scene_path, surface_path, exposure = "scene", tone = "filmic";
+  int samples = 0;
+  RenderSettings settings;
+  program.input("scene.json", scene_path, "camera, lights, object.ior, and material.opaque if the object is opaque");
+  program.input("exitance.ply", surface_path, "surface with exitance_r/g/b; for an opaque object any closed surface");
+  program.output("image.exr", "layers R G B A, exitance, specular, depth.Z, normal; image.png is written beside it");
+  program.option("--samples", samples, "per pixel", "most camera rays a pixel; 0: the scene's method.samples_per_pixel",
+                 0, 65536);
+  program.option("--contrast", settings.film.contrast, "",
+                 "contrast between neighbouring pixels above which they get all samples; 0: everywhere", 0, 1);
+  program.option("--environment-samples", settings.environment_samples, "",
+                 "parallel lights that stand for an environment where shadows are cast", 1, 65536);
+  program.option("--exposure", exposure, "of the PNG: scene, auto, or stops (a number)");
+  program.option("--tone", tone, "curve of the PNG", {"filmic", "linear"});
+  program.example("sg-render scene.json exitance.ply -o image.exr --exposure 0.5", "half a stop brighter than 1:1");
+  return program.run(argc, argv, [&](StageRun& run) {
+    run.start_timer("read");
+    const Scene scene = read_scene(scene_path);
+    if (!scene.camera) throw InputError(scene_path + ": no camera");
+    const AttributedMesh surface = read_mesh(surface_path);
+    settings.film.samples_per_pixel = samples > 0 ? samples : scene.method.samples_per_pixel;
+    settings.film.seed = run.seed();
+    settings.background = scene.background;
+    settings.floor = scene.floor;
+
+    run.start_timer("render");
+    const bool opaque = scene.material && scene.material->opaque;
+    if (!opaque && !scene.object) throw InputError(scene_path + ": no object; its ior is needed");
+    const RenderedImage picture =
+        opaque ? render_surface(surface.mesh, OpaqueSurface{scene.material->opaque->reflectance}, scene.lights,
+                                *scene.camera, settings, run.progress())
+               : render_surface(surface.mesh, translucent_surface(surface_path, surface, scene.object->ior),
+                                scene.lights, *scene.camera, settings, run.progress());
+
+    run.start_timer("write");
+    const double stops = exposure_stops(exposure, scene, picture.image);
+    const std::string png = std::filesystem::path(run.output()).replace_extension(".png").string();
+    write_png(png, picture.image.width, picture.image.height,
+              tone_map(picture.image, stops, tone == "filmic" ? ToneCurve::filmic : ToneCurve::linear));
+    run.note_output(png);
+    write_exr(run.output(), picture.image);
+
+    const RenderStatistics& s = picture.statistics;
+    run.results()["exposure_stops"] = stops;
+    run.results()["camera_rays"] = s.film.samples;
+    run.results()["camera_rays_skipped"] = s.film.samples_skipped;
+    run.results()["refined_pixels"] = s.film.refined_pixels;
+    run.results()["mirror_rays"] = s.mirror_rays;
+    run.results()["shadow_rays"] = s.shadow_rays;
+    run.results()["shadow_rays_skipped"] = s.shadow_rays_skipped;
+    run.results()["unseen_vertices_skipped"] = s.unseen_vertices_skipped;
+    run.print(fmt::format("{}: {} × {} pixels, {} camera rays ({} saved), exposure {:.2f} stops", run.output(),
+                          picture.image.width, picture.image.height, s.film.samples, s.film.samples_skipped, stops));
+  });
+}
