@@ -19,9 +19,13 @@ constexpr int bounce_directions = 64;
 }  // namespace
 
 LitFloor::LitFloor(const Floor& floor, const TriangleMesh& mesh, const SceneGeometry& geometry, const Vec3& up,
-                   const std::vector<SimpleLight>& lights,
+                   const std::vector<Light>& lights, int environment_samples,
                    const std::function<Rgb(const SceneGeometry::Hit&)>& radiosity, Progress& progress)
-    : floor_(floor), up_(up.normalized()) {
+    : floor_(floor), geometry_(&geometry), up_(up.normalized()) {
+  std::vector<SimpleLight> soft;
+  for (const Light& light : lights)
+    for (const SimpleLight& simple : simple_lights({light}, environment_samples))
+      (std::holds_alternative<EnvironmentLight>(light) ? soft : sharp_).push_back(simple);
   const Vec3 lower = mesh.vertices.colwise().minCoeff().transpose(),
              upper = mesh.vertices.colwise().maxCoeff().transpose();
   const Vec3 middle = 0.5 * (lower + upper);
@@ -56,7 +60,7 @@ LitFloor::LitFloor(const Floor& floor, const TriangleMesh& mesh, const SceneGeom
         for (int i = 0; i < grid; ++i) {
           const Vec3 point = grid_point(i, static_cast<int>(j));
           Rgb sum = Rgb::Zero();
-          for (const SimpleLight& light : lights) {
+          for (const SimpleLight& light : soft) {
             const IncidentBeam beam = incident_beam(light, point);
             const double cosine = beam.direction.dot(up_);
             if (!(cosine > 0)) continue;
@@ -101,7 +105,15 @@ Rgb LitFloor::radiance(const Vec3& point) const {
   const auto fx = static_cast<float>(x - i), fy = static_cast<float>(y - j);
   const Rgb* row = irradiance_.data() + static_cast<std::size_t>(j) * grid + i;
   const Rgb near = row[0] * (1 - fx) + row[1] * fx, far = row[grid] * (1 - fx) + row[grid + 1] * fx;
-  return (near * (1 - fy) + far * fy) * floor_.reflectance / static_cast<float>(pi);
+  Rgb sum = near * (1 - fy) + far * fy;
+  for (const SimpleLight& light : sharp_) {
+    const IncidentBeam beam = incident_beam(light, point);
+    const double cosine = beam.direction.dot(up_);
+    if (!(cosine > 0)) continue;
+    ++sharp_rays_;
+    if (!geometry_->occluded(point, beam.direction, beam.distance)) sum += beam.irradiance * static_cast<float>(cosine);
+  }
+  return sum * floor_.reflectance / static_cast<float>(pi);
 }
 
 }  // namespace shellgrid

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -23,11 +24,13 @@ struct Floor {
 // The floor under an object with its light worked out.
 class LitFloor {
  public:
-  // The plane touches the object's lowest point along `up`. Irradiance is worked out on a grid around the object, with
-  // shadows, and with the light that leaves the object: `radiosity(hit)` is that light's exitance, W mm⁻².
+  // The plane touches the object's lowest point along `up`. Irradiance from environments is worked out on a grid around
+  // the object, with shadows, and with the light that leaves the object: `radiosity(hit)` is that light's exitance,
+  // W mm⁻². Parallel and point lights, whose shadows are sharp, are followed from each point that is asked for.
+  // `geometry` must outlive the floor.
   LitFloor(const Floor& floor, const TriangleMesh& mesh, const SceneGeometry& geometry, const Vec3& up,
-           const std::vector<SimpleLight>& lights, const std::function<Rgb(const SceneGeometry::Hit&)>& radiosity,
-           Progress& progress = no_progress());
+           const std::vector<Light>& lights, int environment_samples,
+           const std::function<Rgb(const SceneGeometry::Hit&)>& radiosity, Progress& progress = no_progress());
 
   // Distance along a ray to the floor, from above.
   std::optional<double> intersect(const Vec3& origin, const Vec3& direction) const;
@@ -37,7 +40,7 @@ class LitFloor {
   Rgb radiance(const Vec3& point) const;
   const Vec3& normal() const { return up_; }
   const Floor& floor() const { return floor_; }
-  std::int64_t shadow_rays() const { return shadow_rays_; }
+  std::int64_t shadow_rays() const { return shadow_rays_ + sharp_rays_; }
   std::int64_t shadow_rays_skipped() const { return shadow_rays_skipped_; }
 
  private:
@@ -46,10 +49,13 @@ class LitFloor {
   }
 
   Floor floor_;
+  const SceneGeometry* geometry_;
+  std::vector<SimpleLight> sharp_;
   Vec3 up_, right_, forward_, centre_;
   double size_ = 1, half_width_ = 1, step_ = 1;
   std::vector<Rgb> irradiance_;  // on the grid, row by row
   std::int64_t shadow_rays_ = 0, shadow_rays_skipped_ = 0;
+  mutable std::atomic<std::int64_t> sharp_rays_{0};
 };
 
 }  // namespace shellgrid

@@ -160,7 +160,7 @@ RenderedImage render_surface(const TriangleMesh& mesh, const TranslucentSurface&
   };
   if (settings.floor)
     stage.floor.emplace(
-        *settings.floor, mesh, stage.geometry, stage.up, simple_lights(lights, settings.environment_samples),
+        *settings.floor, mesh, stage.geometry, stage.up, lights, settings.environment_samples,
         [&](const Hit& hit) -> Rgb { return interpolate(surface.exitance, mesh, hit).max(0); }, progress);
 
   // The object's radiance towards where a ray came from, its own mirror image showing the environment alone.
@@ -253,7 +253,7 @@ RenderedImage render_surface(const TriangleMesh& mesh, const OpaqueSurface& surf
   };
   if (settings.floor)
     stage.floor.emplace(
-        *settings.floor, mesh, stage.geometry, stage.up, simple_lights(lights, settings.environment_samples),
+        *settings.floor, mesh, stage.geometry, stage.up, lights, settings.environment_samples,
         [&](const Hit& hit) { return radiosity(hit, hit.normal); }, progress);
   auto shade = [&](const Hit& hit, const Vec3&, FilmSample& sample) {
     sample.exitance = radiosity(hit, sample.normal) / pi;

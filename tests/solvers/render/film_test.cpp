@@ -73,7 +73,7 @@ TEST(ToneMap, BlackIsBlackAndTheCurveRises) {
   for (int i = 1; i < 8; ++i) EXPECT_GT(bytes[3 * i], bytes[3 * i - 3]);
   const auto linear = tone_map(image, 0, ToneCurve::linear);
   EXPECT_NEAR(linear[3 * 4], 255 * (1.055 * std::pow(0.32, 1 / 2.4) - 0.055), 1.5);
-  // Automatic exposure brings the bright end to 0.80 of white whatever the units.
+  // Automatic exposure brings the bright end to one level whatever the units.
   const double exposure = automatic_exposure(image);
   for (auto& channel : image.channels)
     for (float& value : channel.values) value *= 1024;

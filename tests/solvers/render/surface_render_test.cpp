@@ -298,7 +298,7 @@ TEST(SurfaceRender, FloorIsDarkerUnderTheObject) {
   const RenderedImage picture = render_surface(mesh, OpaqueSurface{}, {uniform_sky(1)}, camera, settings);
   // The contact point's pixel is hidden by the ball; just in front of it the floor is in half shadow.
   const SceneGeometry geometry(mesh);
-  const LitFloor floor(*settings.floor, mesh, geometry, Vec3(0, 1, 0), simple_lights({uniform_sky(1)}, 512),
+  const LitFloor floor(*settings.floor, mesh, geometry, Vec3(0, 1, 0), {uniform_sky(1)}, 512,
                        [](const SceneGeometry::Hit&) -> Rgb { return Rgb::Zero(); });
   EXPECT_NEAR(floor.radiance(Vec3(30, -10, 0))[0], 0.5 * (1 - 0.03), 0.02);
   EXPECT_LT(floor.radiance(Vec3(2, -10, 0))[0], 0.1);
