@@ -6,10 +6,11 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
-#include <map>
+#include <filesystem>
 #include <numbers>
 
 #include "meshing/core/error.h"
+#include "meshing/formats/image_file.h"
 #include "solvers/scattering/fresnel.h"
 
 namespace shellgrid {
@@ -273,6 +274,20 @@ TEST(SurfaceRender, SameBytesAtAnyThreadCount) {
     for (std::size_t c = 0; c < pictures[0].channels.size(); ++c)
       EXPECT_EQ(pictures[i].channels[c].values, pictures[0].channels[c].values) << pictures[0].channels[c].name;
   }
+}
+
+TEST(SurfaceRender, EveryLayerSurvivesOpenExr) {
+  const TriangleMesh mesh = sphere(16, 10);
+  const TranslucentSurface surface{std::vector<Rgb>(mesh.vertex_count(), Rgb(1, 2, 3)), 1.5};
+  const Image picture = render_surface(mesh, surface, {uniform_sky(0.5f)}, small_camera(), {}).image;
+  const std::string path = testing::TempDir() + "surface_render_test.exr";
+  write_exr(path, picture);
+  const Image back = read_exr(path);
+  std::filesystem::remove(path);
+  ASSERT_EQ(back.width, picture.width);
+  ASSERT_EQ(back.height, picture.height);
+  EXPECT_EQ(back.channels.size(), 14u);
+  for (const Image::Channel& channel : picture.channels) EXPECT_EQ(layer(back, channel.name), channel.values);
 }
 
 TEST(SurfaceRender, RefusesACameraInsideOrWithoutAView) {
