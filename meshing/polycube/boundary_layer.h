@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <vector>
+
+#include "meshing/core/progress.h"
+#include "meshing/polycube/polycube_map.h"
+
+namespace shellgrid {
+
+// A core grid and the thin layer around it, in units of cells.
+struct LayeredGrid {
+  LatticeGrid core;
+  VertexMatrix points;                   // core points, then one outer point for each boundary point of the core
+  std::vector<std::int32_t> twin;        // of each outer point: the core point it is linked to
+  std::vector<LatticeHexahedron> layer;  // one cell a boundary quadrilateral; its third axis points outwards
+};
+
+// Adds the layer: outer points at the surface points nearest to the core's boundary, so that links run
+// along the surface's normal. Cells that this inverts, or that are inverted between their corners, are
+// mended together with three rings around them; where the surface cannot be kept the outer points stay as near
+// as is valid. `scale` is the number of cells in the surface's unit.
+LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, double scale, double thickness,
+                               Progress& progress = no_progress());
+
+// Cells (core first, then layer) whose least Jacobian at corners or Gauss points is not positive.
+std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid);
+
+}  // namespace shellgrid

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <array>
+#include <vector>
+
+#include "meshing/core/triangle_mesh.h"
+
+namespace shellgrid {
+
+// The surface that a grid's boundary seeks: nearest points that prefer triangles facing the same way
+// as the grid, so that a thin part's two sides do not attract each other's boundary.
+class TargetSurface {
+ public:
+  struct Nearest {
+    Vec3 point = Vec3::Zero();
+    Vec3 normal = Vec3::UnitZ();  // unit, outward, interpolated from angle-weighted vertex normals
+    Vec3 face_normal = Vec3::UnitZ();
+    Vec3 barycentric = Vec3::Zero();
+    int face = -1;
+    double distance = 0;
+  };
+  struct Sample {
+    Vec3 point;
+    Vec3 face_normal;
+  };
+
+  explicit TargetSurface(const TriangleMesh& mesh);
+
+  // The point of least distance.
+  Nearest nearest(const Vec3& place) const { return search(place, Vec3::Zero()); }
+  // The point of least distance²·(2 − facing·face normal); facing is unit.
+  Nearest nearest_facing(const Vec3& place, const Vec3& facing) const { return search(place, facing); }
+
+  const TriangleMesh& mesh() const { return mesh_; }
+  // `count` points spread evenly by area: midpoints of a systematic walk over the faces.
+  std::vector<Sample> samples(int count) const;
+
+ private:
+  struct Node {
+    Vec3 lower, upper;
+    int first, count;  // count > 0: a leaf's range of order_; else children first and first + 1
+  };
+  Nearest search(const Vec3& place, const Vec3& facing) const;
+
+  TriangleMesh mesh_;
+  std::vector<int> order_;
+  std::vector<Node> nodes_;
+  std::vector<Vec3> face_normals_;
+  VertexMatrix vertex_normals_;
+};
+
+}  // namespace shellgrid

@@ -1,0 +1,407 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/polycube/voxel_polycube.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "meshing/core/random.h"
+#include "meshing/polycube/target_surface.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr int samples_per_block = 4;  // along each axis
+constexpr int samples_in_block = samples_per_block * samples_per_block * samples_per_block;
+
+// Inside flags on a regular lattice of samples.
+struct Raster {
+  Vec3 lower;      // corner of sample (0, 0, 0)'s cube
+  double spacing;  // of samples
+  Vec3i size;
+  std::vector<std::uint8_t> inside;
+
+  bool at(const Vec3i& s) const {
+    if ((s.array() < 0).any() || (s.array() >= size.array()).any()) return false;
+    return inside[(static_cast<std::size_t>(s.x()) * size.y() + s.y()) * size.z() + s.z()];
+  }
+  Vec3 centre(const Vec3i& s) const { return lower + spacing * (s.cast<double>() + Vec3::Constant(0.5)); }
+};
+
+// Sign of (b − a) × (p − a), the same with opposite sign for (b, a): neighbours agree on a shared edge.
+double consistent_side(const Vec2& a, const Vec2& b, const Vec2& p) {
+  const bool ordered = a.x() < b.x() || (a.x() == b.x() && a.y() < b.y());
+  const Vec2& s = ordered ? a : b;
+  const Vec2& e = ordered ? b : a;
+  const double area = (e.x() - s.x()) * (p.y() - s.y()) - (e.y() - s.y()) * (p.x() - s.x());
+  const double side = area >= 0 ? 1 : -1;
+  return ordered ? side : -side;
+}
+
+Raster rasterize(const TriangleMesh& surface, const Vec3& lower, double spacing, const Vec3i& size) {
+  Raster raster{lower, spacing, size, {}};
+  raster.inside.assign(static_cast<std::size_t>(size.x()) * size.y() * size.z(), 0);
+  std::vector<std::vector<double>> crossings(static_cast<std::size_t>(size.x()) * size.y());
+  for (int f = 0; f < surface.face_count(); ++f) {
+    const Vec3 p[3] = {surface.corner(f, 0), surface.corner(f, 1), surface.corner(f, 2)};
+    const Vec2 a = p[0].head<2>(), b = p[1].head<2>(), c = p[2].head<2>();
+    const double area = (b.x() - a.x()) * (c.y() - a.y()) - (b.y() - a.y()) * (c.x() - a.x());
+    const Vec2 low = a.cwiseMin(b).cwiseMin(c), high = a.cwiseMax(b).cwiseMax(c);
+    const int i0 = std::max(0, static_cast<int>(std::floor((low.x() - lower.x()) / spacing - 0.5)));
+    const int i1 = std::min(size.x() - 1, static_cast<int>(std::ceil((high.x() - lower.x()) / spacing - 0.5)));
+    const int j0 = std::max(0, static_cast<int>(std::floor((low.y() - lower.y()) / spacing - 0.5)));
+    const int j1 = std::min(size.y() - 1, static_cast<int>(std::ceil((high.y() - lower.y()) / spacing - 0.5)));
+    for (int i = i0; i <= i1; ++i)
+      for (int j = j0; j <= j1; ++j) {
+        const Vec2 q = raster.centre({i, j, 0}).head<2>();
+        const double ab = consistent_side(a, b, q), bc = consistent_side(b, c, q), ca = consistent_side(c, a, q);
+        if (!(ab == bc && bc == ca)) continue;
+        double z;
+        if (std::abs(area) > 0) {
+          const double wb = ((q.x() - a.x()) * (c.y() - a.y()) - (q.y() - a.y()) * (c.x() - a.x())) / area;
+          const double wc = ((b.x() - a.x()) * (q.y() - a.y()) - (b.y() - a.y()) * (q.x() - a.x())) / area;
+          z = p[0].z() + std::clamp(wb, 0.0, 1.0) * (p[1].z() - p[0].z()) +
+              std::clamp(wc, 0.0, 1.0) * (p[2].z() - p[0].z());
+        } else {
+          z = (p[0].z() + p[1].z() + p[2].z()) / 3;
+        }
+        crossings[static_cast<std::size_t>(i) * size.y() + j].push_back(z);
+      }
+  }
+  parallel_for(crossings.size(), [&](std::size_t column) {
+    std::vector<double>& z = crossings[column];
+    std::sort(z.begin(), z.end());
+    for (std::size_t n = 0; n + 1 < z.size(); n += 2) {
+      const int k0 = std::max(0, static_cast<int>(std::ceil((z[n] - lower.z()) / spacing - 0.5)));
+      const int k1 = std::min(size.z() - 1, static_cast<int>(std::ceil((z[n + 1] - lower.z()) / spacing - 0.5)) - 1);
+      for (int k = k0; k <= k1; ++k) raster.inside[column * size.z() + k] = 1;
+    }
+  });
+  return raster;
+}
+
+// Blocks of the sample raster, shifted by whole samples.
+struct Fractions {
+  BlockGrid shape;              // only its size
+  Vec3i shift = Vec3i::Zero();  // samples
+  std::vector<float> volume;    // per block: part of the samples inside
+};
+
+Fractions block_fractions(const Raster& raster, const Vec3i& shift, const Vec3i& counts) {
+  Fractions result{BlockGrid(counts), shift, {}};
+  result.volume.assign(result.shape.filled.size(), 0);
+  parallel_for(
+      result.volume.size(),
+      [&](std::size_t b) {
+        const Vec3i base = shift + samples_per_block * result.shape.place(b);
+        int inside = 0;
+        for (int i = 0; i < samples_per_block; ++i)
+          for (int j = 0; j < samples_per_block; ++j)
+            for (int k = 0; k < samples_per_block; ++k) inside += raster.at(base + Vec3i(i, j, k));
+        result.volume[b] = static_cast<float>(inside) / samples_in_block;
+      },
+      1024);
+  return result;
+}
+
+// Fills blocks until the boundary is a manifold: monotone, so it ends.
+void fill_to_manifold(BlockGrid& grid, const std::vector<float>& fraction) {
+  for (;;) {
+    fill_cavities(grid);
+    bool changed = false;
+    for (int k = 1; k < grid.size.z(); ++k)
+      for (int j = 1; j < grid.size.y(); ++j)
+        for (int i = 1; i < grid.size.x(); ++i) {
+          const Vec3i corner(i, j, k);
+          while (!is_well_composed(window_at(grid, corner))) {
+            double best_score = -1;
+            Vec3i best = Vec3i::Zero();
+            for (int n = 0; n < 8; ++n) {
+              const Vec3i block = corner - Vec3i::Ones() + Vec3i(n & 1, n >> 1 & 1, n >> 2);
+              if (grid.at(block) || !grid.may_fill(block)) continue;
+              int faces = 0;
+              for (int axis = 0; axis < 3; ++axis)
+                for (int side : {-1, 1}) faces += grid.at(block + side * Vec3i::Unit(axis));
+              const double score =
+                  (faces > 0 ? 4 : 0) + (is_simple_flip(grid, block) ? 2 : 0) + fraction[grid.index(block)];
+              if (score > best_score) best_score = score, best = block;
+            }
+            if (best_score < 0) throw InternalError("voxel polycube: a window cannot be mended");
+            grid.filled[grid.index(best)] = 1;
+            changed = true;
+          }
+        }
+    if (!changed) return;
+  }
+}
+
+// Distance of a place (in blocks, block (i, j, k) being the unit cube at (i, j, k)) to the nearest filled
+// block, looking no farther than `limit`.
+double distance_to_filled(const BlockGrid& grid, const Vec3& place, double limit, const Vec3i* left_out = nullptr) {
+  const Vec3i home = place.array().floor().cast<int>().matrix();
+  double best2 = limit * limit;
+  for (int ring = 0; (ring == 0 || (ring - 1) * (ring - 1) < best2) && ring <= limit + 1; ++ring)
+    for (int dk = -ring; dk <= ring; ++dk)
+      for (int dj = -ring; dj <= ring; ++dj)
+        for (int di = -ring; di <= ring;
+             di += (std::abs(dk) == ring || std::abs(dj) == ring || ring == 0) ? 1 : 2 * ring) {
+          const Vec3i block = home + Vec3i(di, dj, dk);
+          if (!grid.at(block) || (left_out && block == *left_out)) continue;
+          const Vec3 low = block.cast<double>();
+          const double d2 = (low - place).cwiseMax(place - low - Vec3::Ones()).cwiseMax(Vec3::Zero()).squaredNorm();
+          best2 = std::min(best2, d2);
+        }
+  return std::sqrt(best2);
+}
+
+struct Coverage {
+  double p99 = 0, most = 0;  // in blocks
+};
+
+Coverage coverage(const BlockGrid& grid, const std::vector<Vec3>& places) {
+  std::vector<double> distance(places.size());
+  const double limit = grid.size.maxCoeff();
+  parallel_for(places.size(), [&](std::size_t i) { distance[i] = distance_to_filled(grid, places[i], limit); });
+  std::sort(distance.begin(), distance.end());
+  if (distance.empty()) return {};
+  return {distance[static_cast<std::size_t>(0.99 * static_cast<double>(distance.size() - 1))], distance.back()};
+}
+
+// The farthest inside sample of a block from filled blocks other than this one, in blocks.
+double uncovered_depth(const BlockGrid& grid, const Raster& raster, const Vec3i& shift, const Vec3i& block) {
+  double farthest = 0;
+  for (int n = 0; n < samples_in_block; ++n) {
+    const Vec3i local(n % samples_per_block, n / samples_per_block % samples_per_block,
+                      n / samples_per_block / samples_per_block);
+    if (!raster.at(shift + samples_per_block * block + local)) continue;
+    const Vec3 place = block.cast<double>() + (local.cast<double>() + Vec3::Constant(0.5)) / samples_per_block;
+    farthest = std::max(farthest, distance_to_filled(grid, place, 2, &block));
+  }
+  return farthest;
+}
+
+// Fills simple blocks where the object sticks out by more than half a block.
+void grow_into_extremities(BlockGrid& grid, const Raster& raster, const Fractions& fractions) {
+  std::vector<std::size_t> candidates;
+  for (std::size_t b = 0; b < grid.filled.size(); ++b)
+    if (fractions.volume[b] >= 0.06f && grid.may_fill(grid.place(b))) candidates.push_back(b);
+  std::stable_sort(candidates.begin(), candidates.end(),
+                   [&](std::size_t a, std::size_t b) { return fractions.volume[a] > fractions.volume[b]; });
+  for (bool grew = true; grew;) {
+    grew = false;
+    for (std::size_t b : candidates) {
+      const Vec3i block = grid.place(b);
+      if (grid.filled[b] || !is_simple_flip(grid, block)) continue;
+      if (uncovered_depth(grid, raster, fractions.shift, block) <= 0.5) continue;
+      grid.filled[b] = 1;
+      grew = true;
+    }
+  }
+}
+
+// Cost of the boundary's shape around one block: singular edges and half the excess valence of corners.
+double shape_cost(unsigned around) {
+  double cost = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    int window = 0;
+    for (int k = 0; k < 8; ++k) {
+      const int bit =
+          ((corner & 1) + (k & 1)) + 3 * ((corner >> 1 & 1) + (k >> 1 & 1)) + 9 * ((corner >> 2) + (k >> 2));
+      window |= static_cast<int>(around >> bit & 1u) << k;
+    }
+    const int valence = boundary_valence(window);
+    if (valence) cost += 0.5 * std::abs(valence - 4) + (has_visible_normal(window) ? 0 : 2);
+  }
+  // The block's twelve edges: along an axis, at the four combinations of the other two.
+  constexpr int stride[3] = {1, 3, 9};
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 4; ++side) {
+      const int u = stride[(axis + 1) % 3], v = stride[(axis + 2) % 3];
+      const int du = side & 1 ? u : -u, dv = side >> 1 ? v : -v;
+      const unsigned four = (around >> 13 & 1u) + (around >> (13 + du) & 1u) + (around >> (13 + dv) & 1u) +
+                            (around >> (13 + du + dv) & 1u);
+      cost += four == 1 || four == 3;
+    }
+  return cost;
+}
+
+// Smooths the polycube's stairs by simple flips at a falling temperature.
+void anneal_stairs(BlockGrid& grid, const Raster& raster, const Fractions& fractions, const TargetSurface& surface,
+                   const Vec3& origin, double block_edge, int sweeps) {
+  // Blocks near the boundary and their signed squared distance, positive outside.
+  std::vector<std::size_t> candidates;
+  for (std::size_t b = 0; b < grid.filled.size(); ++b) {
+    const Vec3i block = grid.place(b);
+    if (!grid.may_fill(block)) continue;
+    bool mixed = fractions.volume[b] > 0 && fractions.volume[b] < 1;
+    for (int axis = 0; axis < 3 && !mixed; ++axis)
+      for (int side : {-1, 1}) {
+        const std::size_t next = grid.index(block + side * Vec3i::Unit(axis));
+        mixed =
+            mixed || grid.filled[next] != grid.filled[b] || (fractions.volume[next] > 0 && fractions.volume[next] < 1);
+      }
+    if (mixed) candidates.push_back(b);
+  }
+  std::vector<double> outside(candidates.size());
+  parallel_for(candidates.size(), [&](std::size_t c) {
+    const Vec3 centre = origin + block_edge * (grid.place(candidates[c]).cast<double>() + Vec3::Constant(0.5));
+    const double d = surface.nearest(centre).distance / block_edge;
+    outside[c] = (fractions.volume[candidates[c]] >= 0.5f ? -1 : 1) * d * d;
+  });
+  for (int sweep = 0; sweep < sweeps; ++sweep) {
+    const double temperature = 0.6 * std::pow(1 - static_cast<double>(sweep) / sweeps, 1.5);
+    for (std::size_t c = 0; c < candidates.size(); ++c) {
+      const std::size_t b = candidates[c];
+      const Vec3i block = grid.place(b);
+      unsigned around = 0;
+      for (int k = 0; k < 27; ++k)
+        if (grid.filled[grid.index(block + Vec3i(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1))]) around |= 1u << k;
+      if (around == 0 || around == (1u << 27) - 1) continue;
+      const bool fills = !grid.filled[b];
+      const double change = shape_cost(around ^ (1u << 13)) - shape_cost(around) + (fills ? outside[c] : -outside[c]);
+      if (change > 0 && to_unit(hash64(0x57a125u, sweep, b)) >= std::exp(-change / temperature)) continue;
+      if (!is_simple_flip(around)) continue;
+      if (!fills && uncovered_depth(grid, raster, fractions.shift, block) > 0.6) continue;
+      grid.filled[b] ^= 1;
+    }
+  }
+}
+
+std::vector<Vec3> to_block_places(const std::vector<TargetSurface::Sample>& samples, const Vec3& origin,
+                                  double block_edge) {
+  std::vector<Vec3> places(samples.size());
+  for (std::size_t i = 0; i < samples.size(); ++i) places[i] = (samples[i].point - origin) / block_edge;
+  return places;
+}
+
+struct Candidate {
+  BlockGrid grid;
+  const Fractions* fractions = nullptr;
+  Vec3 origin = Vec3::Zero();
+  double score = std::numeric_limits<double>::infinity();
+};
+
+int genus_of(const BlockGrid& grid) { return static_cast<int>((2 - boundary_euler_characteristic(grid)) / 2); }
+
+double score_of(const Candidate& candidate, int object_genus, int cells_per_block,
+                const std::vector<TargetSurface::Sample>& samples, double block_edge) {
+  const int wrong = std::abs(genus_of(candidate.grid) - object_genus);
+  const Coverage cover = coverage(candidate.grid, to_block_places(samples, candidate.origin, block_edge));
+  const SingularityCounts singular = count_singularities(candidate.grid);
+  const double blocks = static_cast<double>(candidate.grid.count());
+  return (wrong > 0 ? 1e4 * (1 + wrong) : 0) + 20 * std::max(0.0, cover.p99 * cells_per_block - 0.3) +
+         4 * std::max(0.0, cover.most * cells_per_block - 0.8) +
+         (20.0 * static_cast<double>(singular.corners) + 3.0 * static_cast<double>(singular.edges)) /
+             std::pow(blocks, 2.0 / 3);
+}
+
+}  // namespace
+
+double enclosed_volume(const TriangleMesh& surface) {
+  double volume = 0;
+  for (int f = 0; f < surface.face_count(); ++f)
+    volume += surface.corner(f, 0).dot(surface.corner(f, 1).cross(surface.corner(f, 2)));
+  return volume / 6;
+}
+
+int surface_genus(const TriangleMesh& surface) {
+  std::vector<std::uint8_t> used(surface.vertex_count(), 0);
+  long vertices = 0;
+  for (int f = 0; f < surface.face_count(); ++f)
+    for (int k = 0; k < 3; ++k)
+      if (!used[surface.faces(f, k)]) used[surface.faces(f, k)] = 1, ++vertices;
+  const long euler = vertices - surface.face_count() / 2;  // E = 3F/2 on a closed surface
+  return static_cast<int>((2 - euler) / 2);
+}
+
+VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOptions& options, Progress& progress) {
+  const double volume = enclosed_volume(surface);
+  if (!(volume > 0)) throw InputError("the surface encloses no volume; expected a closed surface with outward faces");
+  VoxelPolycube result;
+  result.spacing = std::cbrt(volume / (0.78 * options.nodes));
+  result.cells_per_block = options.grid > 0
+                               ? options.grid
+                               : static_cast<int>(std::exp2(
+                                     std::max(0.0, std::round(std::log2(std::cbrt(options.nodes / options.blocks))))));
+  result.object_genus = surface_genus(surface);
+  const double block_edge = result.spacing * result.cells_per_block;
+
+  const Vec3 low = surface.vertices.colwise().minCoeff().transpose();
+  const Vec3 high = surface.vertices.colwise().maxCoeff().transpose();
+  const double extent = (high - low).maxCoeff() / block_edge;
+  if (!(extent < 400))
+    throw InputError("the object is too thin for its extent: its grid would be " +
+                     std::to_string(static_cast<long>(extent)) + " blocks long");
+  const Vec3i counts = ((high - low) / block_edge).array().ceil().cast<int>() + 5;
+  const double sample_spacing = block_edge / samples_per_block;
+  // Off the round numbers that meshes like to lie on.
+  const Vec3 lower = low - block_edge * Vec3(2.5137, 2.5171, 2.5113);
+  progress.begin("voxel fractions", 0);
+  const Raster raster = rasterize(surface, lower, sample_spacing, samples_per_block * (counts + Vec3i::Ones()));
+  std::vector<Fractions> fractions(8);
+  for (int o = 0; o < 8; ++o)
+    fractions[o] = block_fractions(raster, samples_per_block / 2 * Vec3i(o & 1, o >> 1 & 1, o >> 2), counts);
+  progress.end();
+
+  const TargetSurface target(surface);
+  const std::vector<TargetSurface::Sample> few_samples = target.samples(4000);
+  constexpr std::array<double, 4> thresholds = {0.5, 0.3, 0.15, 0.04};
+  std::vector<Candidate> candidates(8 * thresholds.size());
+  progress.begin("polycube search", static_cast<long>(candidates.size()));
+  parallel_for(
+      candidates.size(),
+      [&](std::size_t c) {
+        Candidate& candidate = candidates[c];
+        candidate.fractions = &fractions[c % 8];
+        candidate.origin = lower + sample_spacing * candidate.fractions->shift.cast<double>();
+        candidate.grid = BlockGrid(counts);
+        for (std::size_t b = 0; b < candidate.grid.filled.size(); ++b)
+          candidate.grid.filled[b] =
+              candidate.fractions->volume[b] >= thresholds[c / 8] && candidate.grid.may_fill(candidate.grid.place(b));
+        keep_largest_component(candidate.grid);
+        if (candidate.grid.count() == 0) return;
+        fill_to_manifold(candidate.grid, candidate.fractions->volume);
+        // The lowest threshold is for objects that the others miss.
+        candidate.score = score_of(candidate, result.object_genus, result.cells_per_block, few_samples, block_edge) +
+                          (c / 8 == 3 ? 50 : 0);
+        progress.advance();
+      },
+      1);
+  progress.end();
+  std::size_t best = 0;
+  for (std::size_t c = 1; c < candidates.size(); ++c)
+    if (candidates[c].score < candidates[best].score) best = c;
+  Candidate chosen = std::move(candidates[best]);
+  if (!std::isfinite(chosen.score))
+    throw InputError("the object is thinner than the grid's samples everywhere; try more --nodes");
+
+  progress.begin("polycube shape", 0);
+  grow_into_extremities(chosen.grid, raster, *chosen.fractions);
+  if (options.anneal_sweeps > 0) {
+    anneal_stairs(chosen.grid, raster, *chosen.fractions, target, chosen.origin, block_edge, options.anneal_sweeps);
+    grow_into_extremities(chosen.grid, raster, *chosen.fractions);
+  }
+  progress.end();
+  if (count_ill_composed(chosen.grid) != 0) throw InternalError("voxel polycube: the boundary is not a manifold");
+
+  result.genus = genus_of(chosen.grid);
+  const SingularityCounts singular = count_singularities(chosen.grid);
+  result.singular_edges = singular.edges;
+  result.singular_corners = singular.corners;
+  const Coverage cover = coverage(chosen.grid, to_block_places(target.samples(20000), chosen.origin, block_edge));
+  result.coverage_p99 = cover.p99 * result.cells_per_block;
+  result.coverage_max = cover.most * result.cells_per_block;
+  Vec3i least = counts;
+  for (std::size_t b = 0; b < chosen.grid.filled.size(); ++b)
+    if (chosen.grid.filled[b]) least = least.cwiseMin(chosen.grid.place(b));
+  for (std::size_t b = 0; b < chosen.grid.filled.size(); ++b)
+    if (chosen.grid.filled[b]) result.blocks.push_back(chosen.grid.place(b) - least);
+  result.origin = chosen.origin + block_edge * least.cast<double>();
+  return result;
+}
+
+}  // namespace shellgrid
