@@ -3,7 +3,10 @@
 #include <cstdint>
 #include <vector>
 
+#include "meshing/core/progress.h"
+#include "meshing/core/triangle_mesh.h"
 #include "meshing/core/vec.h"
+#include "meshing/polycube/voxel_polycube.h"
 
 namespace shellgrid {
 
@@ -41,5 +44,39 @@ struct Polygrid {
   double spacing = 0;  // h, target edge length of core cells, mm
   PolygridGraph graph;
 };
+
+// What a polygrid is worth.
+struct PolygridQuality {
+  long nodes = 0;           // of the graph: cell centres and boundary nodes
+  long cubes = 0;           // blocks of the polycube
+  int genus = 0;            // of the boundary
+  long inverted_cells = 0;  // with a Jacobian ≤ 0 at a corner or at one of 27 Gauss points
+  double scaled_jacobian_min = 0, scaled_jacobian_mean = 0;  // core and layer cells
+  double link_length_cv = 0;                                 // deviation over mean of links between cell centres
+  double link_angle_mean = 0, link_angle_max = 0;            // degrees between an outer point's link and the normal
+  double layer_thickness_mean = 0;                           // in cells
+  double boundary_distance_max = 0;                          // of outer points to the surface, in cells
+  long off_surface = 0;                                      // outer points farther than 1e-4 of the object's size
+  double coverage_p99 = 0, coverage_max = 0;                 // of surface samples to the outer boundary, in cells
+  double weight_condition_median = 0, weight_condition_max = 0;
+  long singular_weights = 0;  // nodes whose six links give no invertible matrix
+};
+
+struct PolygridOptions {
+  double layer_thickness = 0.1;  // in cells
+};
+
+// Makes the polygrid of an object from its polycube: maps the cells, adds the boundary layer, and weighs the
+// graph's links. No cell is inverted; where the surface cannot be reached without inverting one, outer points stay off
+// it, which the quality says and a warning tells. Source: [Diffusion §5.1, appendix B].
+// Throws: InputError for a polycube that is empty, not a manifold or not of this object.
+Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surface, const PolygridOptions& options,
+                        Progress& progress = no_progress());
+
+PolygridQuality measure_polygrid(const Polygrid& polygrid, const VoxelPolycube& polycube, const TriangleMesh& surface);
+
+// The outer boundary as closed triangles, `quality` the scaled Jacobian of the layer cell or core cell behind,
+// whichever is worse, with colours from red (0) to green (1). Its points are the outer points.
+AttributedMesh polygrid_view(const Polygrid& polygrid);
 
 }  // namespace shellgrid

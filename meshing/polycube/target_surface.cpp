@@ -50,10 +50,10 @@ double box_distance2(const Vec3& p, const Vec3& lower, const Vec3& upper) {
 
 }  // namespace
 
-TargetSurface::TargetSurface(const TriangleMesh& mesh) : mesh_(mesh), vertex_normals_(mesh.vertex_count(), 3) {
+TargetSurface::TargetSurface(const TriangleMesh& mesh) : mesh_(mesh) {
   const int faces = mesh_.face_count();
   face_normals_.resize(faces);
-  vertex_normals_.setZero();
+  std::vector<std::vector<std::pair<int, double>>> around(mesh_.vertex_count());
   for (int f = 0; f < faces; ++f) {
     const Vec3 cross = (mesh_.corner(f, 1) - mesh_.corner(f, 0)).cross(mesh_.corner(f, 2) - mesh_.corner(f, 0));
     const double length = cross.norm();
@@ -62,13 +62,18 @@ TargetSurface::TargetSurface(const TriangleMesh& mesh) : mesh_(mesh), vertex_nor
       const Vec3 u = mesh_.corner(f, (k + 1) % 3) - mesh_.corner(f, k);
       const Vec3 v = mesh_.corner(f, (k + 2) % 3) - mesh_.corner(f, k);
       const double angle = std::atan2(u.cross(v).norm(), u.dot(v));
-      vertex_normals_.row(mesh_.faces(f, k)) += (angle * face_normals_[f]).transpose();
+      around[mesh_.faces(f, k)].emplace_back(f, angle);
     }
   }
-  for (Eigen::Index v = 0; v < vertex_normals_.rows(); ++v) {
-    const double length = vertex_normals_.row(v).norm();
-    if (length > 0) vertex_normals_.row(v) /= length;
-  }
+  // Angle-weighted normals that do not smooth over creases.
+  corner_normals_.resize(faces);
+  for (int f = 0; f < faces; ++f)
+    for (int k = 0; k < 3; ++k) {
+      Vec3 sum = Vec3::Zero();
+      for (const auto& [g, angle] : around[mesh_.faces(f, k)])
+        if (face_normals_[g].dot(face_normals_[f]) > 0.7) sum += angle * face_normals_[g];
+      corner_normals_[f][k] = sum.norm() > 0 ? Vec3(sum.normalized()) : face_normals_[f];
+    }
 
   order_.resize(faces);
   std::iota(order_.begin(), order_.end(), 0);
@@ -134,8 +139,7 @@ TargetSurface::Nearest TargetSurface::search(const Vec3& place, const Vec3& faci
   if (best.face >= 0) {
     best.face_normal = face_normals_[best.face];
     Vec3 normal = Vec3::Zero();
-    for (int k = 0; k < 3; ++k)
-      normal += best.barycentric[k] * vertex_normals_.row(mesh_.faces(best.face, k)).transpose();
+    for (int k = 0; k < 3; ++k) normal += best.barycentric[k] * corner_normals_[best.face][k];
     best.normal = normal.norm() > 1e-6 ? Vec3(normal.normalized()) : best.face_normal;
   }
   return best;

@@ -13,7 +13,7 @@ class TargetSurface {
  public:
   struct Nearest {
     Vec3 point = Vec3::Zero();
-    Vec3 normal = Vec3::UnitZ();  // unit, outward, interpolated from angle-weighted vertex normals
+    Vec3 normal = Vec3::UnitZ();  // unit, outward, interpolated; faces at more than 45° to this one do not count
     Vec3 face_normal = Vec3::UnitZ();
     Vec3 barycentric = Vec3::Zero();
     int face = -1;
@@ -46,7 +46,7 @@ class TargetSurface {
   std::vector<int> order_;
   std::vector<Node> nodes_;
   std::vector<Vec3> face_normals_;
-  VertexMatrix vertex_normals_;
+  std::vector<std::array<Vec3, 3>> corner_normals_;
 };
 
 }  // namespace shellgrid

@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/polycube/tetrahedralize.h"
+
+#include <fcntl.h>
+#include <poll.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <tetgen.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "meshing/core/error.h"
+
+namespace shellgrid {
+namespace {
+
+bool write_all(int file, const void* data, std::size_t bytes) {
+  const char* at = static_cast<const char*>(data);
+  while (bytes > 0) {
+    const ssize_t written = ::write(file, at, bytes);
+    if (written < 0 && errno == EINTR) continue;
+    if (written <= 0) return false;
+    at += written;
+    bytes -= static_cast<std::size_t>(written);
+  }
+  return true;
+}
+
+// In the child: runs TetGen and sends the mesh through the pipe.
+[[noreturn]] void run_child(const TriangleMesh& surface, int pipe, double limit_seconds) {
+  const rlimit time{static_cast<rlim_t>(limit_seconds), static_cast<rlim_t>(limit_seconds) + 5};
+  setrlimit(RLIMIT_CPU, &time);
+  const rlimit no_core{0, 0};
+  setrlimit(RLIMIT_CORE, &no_core);
+  // TetGen talks on both streams, whatever it is told.
+  const int null = ::open("/dev/null", O_WRONLY);
+  if (null >= 0) ::dup2(null, 1), ::dup2(null, 2);
+  try {
+    tetgenio in, out;
+    in.firstnumber = 0;
+    in.numberofpoints = surface.vertex_count();
+    in.pointlist = new REAL[3 * static_cast<std::size_t>(in.numberofpoints)];
+    std::copy(surface.vertices.data(), surface.vertices.data() + surface.vertices.size(), in.pointlist);
+    in.numberoffacets = surface.face_count();
+    in.facetlist = new tetgenio::facet[in.numberoffacets];
+    for (int f = 0; f < in.numberoffacets; ++f) {
+      tetgenio::facet& facet = in.facetlist[f];
+      tetgenio::init(&facet);
+      facet.numberofpolygons = 1;
+      facet.polygonlist = new tetgenio::polygon[1];
+      tetgenio::polygon& polygon = facet.polygonlist[0];
+      tetgenio::init(&polygon);
+      polygon.numberofvertices = 3;
+      polygon.vertexlist = new int[3];
+      for (int k = 0; k < 3; ++k) polygon.vertexlist[k] = surface.faces(f, k);
+    }
+    char switches[] = "pYQ";
+    ::tetrahedralize(switches, &in, &out);
+    const std::int64_t counts[2] = {out.numberofpoints, out.numberoftetrahedra};
+    const bool sent = counts[1] > 0 && out.numberofcorners == 4 && write_all(pipe, counts, sizeof counts) &&
+                      write_all(pipe, out.pointlist, sizeof(double) * 3 * static_cast<std::size_t>(counts[0])) &&
+                      write_all(pipe, out.tetrahedronlist, sizeof(int) * 4 * static_cast<std::size_t>(counts[1]));
+    ::_exit(sent ? 0 : 1);
+  } catch (...) {
+    ::_exit(1);
+  }
+}
+
+// Reads until the child closes the pipe; empty where it took too long.
+std::optional<std::vector<char>> read_all(int pipe, double limit_seconds) {
+  std::vector<char> bytes;
+  std::vector<char> buffer(1 << 16);
+  double waited = 0;
+  for (;;) {
+    pollfd ready{pipe, POLLIN, 0};
+    const int result = ::poll(&ready, 1, 1000);
+    if (result < 0 && errno != EINTR) return std::nullopt;
+    if (result <= 0) {
+      if ((waited += 1) > 4 * limit_seconds) return std::nullopt;
+      continue;
+    }
+    const ssize_t count = ::read(pipe, buffer.data(), buffer.size());
+    if (count < 0 && errno == EINTR) continue;
+    if (count < 0) return std::nullopt;
+    if (count == 0) return bytes;
+    bytes.insert(bytes.end(), buffer.begin(), buffer.begin() + count);
+  }
+}
+
+double signed_volume(const TetrahedralMesh& mesh, Eigen::Index t) {
+  const Vec3 a = mesh.points.row(mesh.tetrahedra(t, 0)).transpose();
+  const Vec3 b = mesh.points.row(mesh.tetrahedra(t, 1)).transpose();
+  const Vec3 c = mesh.points.row(mesh.tetrahedra(t, 2)).transpose();
+  const Vec3 d = mesh.points.row(mesh.tetrahedra(t, 3)).transpose();
+  return (b - a).cross(c - a).dot(d - a) / 6;
+}
+
+std::optional<TetrahedralMesh> fill(const TriangleMesh& surface, double limit_seconds) {
+  int ends[2];
+  if (::pipe2(ends, O_CLOEXEC) != 0)
+    throw InputError(std::string("cannot start the tetrahedral mesher: ") + std::strerror(errno));
+  const pid_t child = ::fork();
+  if (child < 0) {
+    ::close(ends[0]), ::close(ends[1]);
+    throw InputError(std::string("cannot start the tetrahedral mesher: ") + std::strerror(errno));
+  }
+  if (child == 0) run_child(surface, ends[1], limit_seconds);
+  ::close(ends[1]);
+  const std::optional<std::vector<char>> bytes = read_all(ends[0], limit_seconds);
+  ::close(ends[0]);
+  if (!bytes) ::kill(child, SIGKILL);
+  int status = 0;
+  while (::waitpid(child, &status, 0) < 0 && errno == EINTR) {
+  }
+  if (!bytes || !WIFEXITED(status) || WEXITSTATUS(status) != 0 || bytes->size() < 2 * sizeof(std::int64_t))
+    return std::nullopt;
+  std::int64_t counts[2];
+  std::memcpy(counts, bytes->data(), sizeof counts);
+  const std::size_t point_bytes = sizeof(double) * 3 * static_cast<std::size_t>(counts[0]);
+  if (bytes->size() != sizeof counts + point_bytes + sizeof(int) * 4 * static_cast<std::size_t>(counts[1]))
+    return std::nullopt;
+  TetrahedralMesh mesh;
+  mesh.points.resize(counts[0], 3);
+  mesh.tetrahedra.resize(counts[1], 4);
+  std::memcpy(mesh.points.data(), bytes->data() + sizeof counts, point_bytes);
+  std::memcpy(mesh.tetrahedra.data(), bytes->data() + sizeof counts + point_bytes, sizeof(int) * 4 * counts[1]);
+  for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t)
+    if (signed_volume(mesh, t) < 0) std::swap(mesh.tetrahedra(t, 2), mesh.tetrahedra(t, 3));
+  return mesh;
+}
+
+}  // namespace
+
+TriangleMesh boundary_of(const TetrahedralMesh& mesh) {
+  // Faces opposite each corner, outward for a positive tetrahedron.
+  constexpr int corners[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
+  struct Face {
+    std::array<std::int32_t, 3> key, corners;
+    bool operator<(const Face& other) const { return key < other.key; }
+  };
+  std::vector<Face> faces;
+  faces.reserve(4 * static_cast<std::size_t>(mesh.tetrahedra.rows()));
+  for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t)
+    for (const auto& c : corners) {
+      Face face;
+      for (int k = 0; k < 3; ++k) face.key[k] = face.corners[k] = mesh.tetrahedra(t, c[k]);
+      std::sort(face.key.begin(), face.key.end());
+      faces.push_back(face);
+    }
+  std::sort(faces.begin(), faces.end());
+  std::vector<std::array<std::int32_t, 3>> outer;
+  for (std::size_t f = 0; f < faces.size();) {
+    std::size_t next = f + 1;
+    while (next < faces.size() && faces[next].key == faces[f].key) ++next;
+    if (next - f == 1) outer.push_back(faces[f].corners);
+    f = next;
+  }
+  std::vector<std::int32_t> index(mesh.points.rows(), -1);
+  for (const auto& face : outer)
+    for (std::int32_t p : face) index[p] = 0;
+  TriangleMesh surface;
+  std::int32_t count = 0;
+  for (std::int32_t& i : index)
+    if (i == 0) i = count++;
+  surface.vertices.resize(count, 3);
+  for (std::size_t p = 0; p < index.size(); ++p)
+    if (index[p] >= 0) surface.vertices.row(index[p]) = mesh.points.row(p);
+  surface.faces.resize(static_cast<Eigen::Index>(outer.size()), 3);
+  for (std::size_t f = 0; f < outer.size(); ++f)
+    for (int k = 0; k < 3; ++k) surface.faces(f, k) = index[outer[f][k]];
+  return surface;
+}
+
+TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const TetrahedralizeOptions& options,
+                                    Progress& progress) {
+  if (surface.face_count() < 4) throw InputError("the surface has fewer than four faces; expected a closed surface");
+  TetrahedralizeResult result;
+  progress.begin("tetrahedra", 0);
+  if (surface.face_count() > options.proxy_faces) {
+    const TriangleMesh proxy = simplify_surface(surface, options.proxy_faces);
+    if (std::optional<TetrahedralMesh> mesh = fill(proxy, options.limit_seconds)) {
+      progress.end();
+      result.mesh = std::move(*mesh);
+      result.surface_faces = proxy.face_count();
+      result.simplified = true;
+      return result;
+    }
+    progress.warn("the simplified surface could not be filled with tetrahedra; trying the given one");
+  }
+  std::optional<TetrahedralMesh> mesh = fill(surface, options.limit_seconds);
+  progress.end();
+  if (!mesh)
+    throw InputError(
+        "the surface cannot be filled with tetrahedra; expected a closed surface that does not cross itself; try "
+        "sg-prepare");
+  result.mesh = std::move(*mesh);
+  result.surface_faces = surface.face_count();
+  return result;
+}
+
+}  // namespace shellgrid

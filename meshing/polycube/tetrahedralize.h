@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include "meshing/core/progress.h"
+#include "meshing/core/tetrahedral_mesh.h"
+#include "meshing/core/triangle_mesh.h"
+
+namespace shellgrid {
+
+struct TetrahedralizeOptions {
+  int proxy_faces = 20000;     // a heavier surface is simplified to about so many faces first
+  double limit_seconds = 120;  // processor time of the mesher's process
+};
+
+struct TetrahedralizeResult {
+  TetrahedralMesh mesh;
+  int surface_faces = 0;  // of the surface that the tetrahedra fill
+  bool simplified = false;
+};
+
+// Fills a closed surface with tetrahedra whose boundary is that surface, or its simplification: the
+// polycube needs a volume of the right shape and genus at its blocks' scale, not every triangle. TetGen runs in
+// a child process with limits, because it crashes on surfaces that cross themselves; where it fails on the
+// simplified surface the given one is tried.
+// Throws: InputError where the surface cannot be filled.
+TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const TetrahedralizeOptions& options,
+                                    Progress& progress = no_progress());
+
+// The faces that belong to one tetrahedron only, facing outwards: a closed surface without unused points.
+TriangleMesh boundary_of(const TetrahedralMesh& mesh);
+
+// Simplifies a closed surface to about `faces` faces by quadric error, keeping its topology.
+// Source: [GarlandHeckbert1997].
+TriangleMesh simplify_surface(const TriangleMesh& surface, int faces);
+
+}  // namespace shellgrid

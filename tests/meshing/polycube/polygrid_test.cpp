@@ -1,0 +1,277 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/polycube/polygrid.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+
+#include <oneapi/tbb/global_control.h>
+#include <map>
+
+#include "meshing/core/error.h"
+#include "meshing/polycube/hexahedra_optimization.h"
+#include "meshing/polycube/laplacian_weights.h"
+#include "meshing/polycube/target_surface.h"
+#include "meshing/polycube/tetrahedralize.h"
+#include "tests/meshing/polycube/shapes.h"
+
+namespace shellgrid {
+namespace {
+
+struct Case {
+  const char* name;
+  TriangleMesh (*make)();
+  int genus;
+  double coverage;  // most, in cells
+};
+
+TriangleMesh make_sphere() { return shapes::sphere(10); }
+TriangleMesh make_torus() { return shapes::torus(10, 4); }
+TriangleMesh make_slab() { return shapes::box(40, 30, 2); }
+TriangleMesh make_cube() { return shapes::box(10, 10, 10); }
+
+class PolygridOfShape : public testing::TestWithParam<Case> {
+ protected:
+  struct Built {
+    TriangleMesh surface;
+    VoxelPolycube polycube;
+    Polygrid polygrid;
+    PolygridQuality quality;
+  };
+  static Built build() {
+    Built built;
+    built.surface = GetParam().make();
+    PolycubeOptions options;
+    options.nodes = 2e4;
+    options.blocks = 2500;
+    built.polycube = build_voxel_polycube(built.surface, options);
+    built.polygrid = build_polygrid(built.polycube, built.surface, {});
+    built.quality = measure_polygrid(built.polygrid, built.polycube, built.surface);
+    return built;
+  }
+  // Each shape is built once for all tests.
+  static const Built& built() {
+    static std::map<std::string, Built> cache;
+    const auto found = cache.find(GetParam().name);
+    return found != cache.end() ? found->second : cache.emplace(GetParam().name, build()).first->second;
+  }
+  const TriangleMesh& surface_ = built().surface;
+  const VoxelPolycube& polycube_ = built().polycube;
+  const Polygrid& polygrid_ = built().polygrid;
+  const PolygridQuality& quality_ = built().quality;
+};
+
+// The determinant of the three edges at a corner of a VTK hexahedron, written out independently.
+double vtk_corner_determinant(const Polygrid& grid, Eigen::Index cell, int k) {
+  constexpr int next[8][3] = {{1, 3, 4}, {2, 0, 5}, {3, 1, 6}, {0, 2, 7}, {7, 5, 0}, {4, 6, 1}, {5, 7, 2}, {6, 4, 3}};
+  Mat3 edges;
+  for (int n = 0; n < 3; ++n)
+    edges.col(n) = (grid.points.row(grid.cells(cell, next[k][n])) - grid.points.row(grid.cells(cell, k))).transpose();
+  return edges.determinant();
+}
+
+TEST_P(PolygridOfShape, has_positive_jacobians_at_every_corner) {
+  for (Eigen::Index c = 0; c < polygrid_.cells.rows(); ++c)
+    for (int k = 0; k < 8; ++k) ASSERT_GT(vtk_corner_determinant(polygrid_, c, k), 0) << "cell " << c;
+  EXPECT_EQ(quality_.inverted_cells, 0);
+}
+
+TEST_P(PolygridOfShape, keeps_the_genus) {
+  EXPECT_EQ(polycube_.object_genus, GetParam().genus);
+  EXPECT_EQ(polycube_.genus, GetParam().genus);
+  std::map<std::pair<int, int>, int> edges;
+  std::map<int, int> points;
+  for (Eigen::Index q = 0; q < polygrid_.boundary_quads.rows(); ++q)
+    for (int k = 0; k < 4; ++k) {
+      const int a = polygrid_.boundary_quads(q, k), b = polygrid_.boundary_quads(q, (k + 1) % 4);
+      ++edges[{std::min(a, b), std::max(a, b)}];
+      ++points[a];
+    }
+  for (const auto& [edge, uses] : edges) ASSERT_EQ(uses, 2);
+  const long euler =
+      static_cast<long>(points.size()) - static_cast<long>(edges.size()) + polygrid_.boundary_quads.rows();
+  EXPECT_EQ(euler, 2 - 2 * GetParam().genus);
+}
+
+TEST_P(PolygridOfShape, links_each_outer_point_to_one_twin) {
+  std::map<int, int> uses;
+  std::map<int, int> on_quads;
+  for (Eigen::Index q = 0; q < polygrid_.boundary_quads.rows(); ++q)
+    for (int k = 0; k < 4; ++k) ++on_quads[polygrid_.boundary_quads(q, k)];
+  for (std::size_t p = 0; p < polygrid_.outer_twin.size(); ++p) {
+    const int twin = polygrid_.outer_twin[p];
+    EXPECT_EQ(twin >= 0, on_quads.contains(static_cast<int>(p)));
+    if (twin < 0) continue;
+    EXPECT_EQ(polygrid_.outer_twin[twin], -1);
+    EXPECT_EQ(polygrid_.point_lattice.row(p), polygrid_.point_lattice.row(twin));
+    EXPECT_NEAR(polygrid_.point_normal.row(p).norm(), 1, 1e-9);
+    ++uses[twin];
+  }
+  for (const auto& [twin, count] : uses) EXPECT_EQ(count, 1);
+}
+
+TEST_P(PolygridOfShape, has_a_symmetric_graph_of_six_links_and_one) {
+  const PolygridGraph& graph = polygrid_.graph;
+  std::vector<int> boundary_uses(graph.boundary.rows(), 0);
+  for (Eigen::Index i = 0; i < graph.links.rows(); ++i)
+    for (int side = 0; side < 6; ++side) {
+      const int link = graph.links(i, side);
+      if (link >= 0) {
+        ASSERT_LT(link, graph.interior.rows());
+        ASSERT_EQ(graph.links(link, side ^ 1), i);
+      } else {
+        ++boundary_uses[-1 - link];
+        EXPECT_EQ(graph.boundary_owner[-1 - link], i);
+      }
+      EXPECT_TRUE(std::isfinite(graph.weights(i, side)));
+    }
+  for (int uses : boundary_uses) EXPECT_EQ(uses, 1);
+}
+
+TEST_P(PolygridOfShape, reaches_the_surface) {
+  const TargetSurface target(surface_);
+  const double size = (surface_.vertices.colwise().maxCoeff() - surface_.vertices.colwise().minCoeff()).maxCoeff();
+  long outer = 0, off = 0;
+  double farthest = 0;
+  for (std::size_t p = 0; p < polygrid_.outer_twin.size(); ++p)
+    if (polygrid_.outer_twin[p] >= 0) {
+      const double distance = target.nearest(polygrid_.points.row(p).transpose()).distance;
+      ++outer;
+      off += distance > 1e-4 * size;
+      farthest = std::max(farthest, distance / polygrid_.spacing);
+    }
+  EXPECT_EQ(off, quality_.off_surface);
+  EXPECT_NEAR(farthest, quality_.boundary_distance_max, 1e-9);
+  EXPECT_LT(off, 0.02 * outer);
+  EXPECT_LT(farthest, 1.0);
+  EXPECT_LT(quality_.coverage_max, GetParam().coverage);
+}
+
+TEST_P(PolygridOfShape, is_the_same_at_one_thread) {
+  const oneapi::tbb::global_control one(oneapi::tbb::global_control::max_allowed_parallelism, 1);
+  const Built rebuilt = build();
+  ASSERT_EQ(rebuilt.polycube.blocks.size(), polycube_.blocks.size());
+  const Polygrid& again = rebuilt.polygrid;
+  EXPECT_EQ(again.points, polygrid_.points);
+  EXPECT_EQ(again.cells, polygrid_.cells);
+  EXPECT_EQ(again.graph.weights, polygrid_.graph.weights);
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, PolygridOfShape,
+                         testing::Values(Case{"sphere", make_sphere, 0, 0.5}, Case{"torus", make_torus, 1, 0.5},
+                                         Case{"double_torus", shapes::double_torus, 2, 1.5},
+                                         Case{"slab", make_slab, 0, 2}, Case{"cube", make_cube, 0, 1},
+                                         Case{"branching", shapes::branching, 0, 1.5}),
+                         [](const auto& info) { return info.param.name; });
+
+TEST(LaplacianWeights, are_exact_for_quadratics_without_cross_terms_on_unequal_steps) {
+  const std::array<Vec3, 6> offsets = {Vec3(-0.7, 0, 0), Vec3(1.1, 0, 0), Vec3(0, -0.9, 0),
+                                       Vec3(0, 0.4, 0),  Vec3(0, 0, -1),  Vec3(0, 0, 0.1)};
+  const LaplacianWeights weights = laplacian_weights(offsets, 1);
+  EXPECT_TRUE(weights.exact);
+  const auto f = [](const Vec3& x) {
+    return 2 + 3 * x.x() - x.y() + 0.5 * x.z() + 1.5 * x.x() * x.x() - 2 * x.y() * x.y() + 4 * x.z() * x.z();
+  };
+  double laplacian = 0;
+  for (int j = 0; j < 6; ++j) laplacian += weights.weights[j] * (f(offsets[j]) - f(Vec3::Zero()));
+  EXPECT_NEAR(laplacian, 2 * (1.5 - 2 + 4), 1e-10);
+}
+
+TEST(LaplacianWeights, do_not_depend_on_the_frame) {
+  const std::array<Vec3, 6> offsets = {Vec3(-0.7, 0.1, 0), Vec3(1.1, 0, 0.1), Vec3(0, -0.9, 0.05),
+                                       Vec3(0.1, 0.8, 0),  Vec3(0, 0.1, -1),  Vec3(0, 0, 0.6)};
+  const Mat3 rotation = Eigen::AngleAxisd(0.9, Vec3(1, 2, 3).normalized()).toRotationMatrix();
+  std::array<Vec3, 6> turned;
+  for (int j = 0; j < 6; ++j) turned[j] = rotation * offsets[j];
+  const LaplacianWeights a = laplacian_weights(offsets, 1), b = laplacian_weights(turned, 1);
+  for (int j = 0; j < 6; ++j) EXPECT_NEAR(a.weights[j], b.weights[j], 1e-9);
+}
+
+TEST(LaplacianWeights, stay_finite_where_links_coincide) {
+  const std::array<Vec3, 6> offsets = {Vec3(-1, 0, 0), Vec3(1, 0, 0),  Vec3(-1, 0, 0),
+                                       Vec3(1, 0, 0),  Vec3(0, 0, -1), Vec3(0, 0, 1)};
+  const LaplacianWeights weights = laplacian_weights(offsets, 1);
+  EXPECT_FALSE(weights.exact);
+  for (double w : weights.weights) EXPECT_GT(w, 0);
+}
+
+TEST(HexahedraOptimization, keeps_a_box_and_mends_a_folded_corner) {
+  std::vector<LatticeHexahedron> cells = {{0, 1, 2, 3, 4, 5, 6, 7}};
+  VertexMatrix points(8, 3);
+  for (int k = 0; k < 8; ++k) points.row(k) << (k & 1), (k >> 1 & 1), (k >> 2);
+  const VertexMatrix box = points;
+  HexahedraOptimization optimization(cells, {Vec3i::Zero()}, {1.0});
+  EXPECT_NEAR(optimization.minimize(points, 10, 0), 1, 1e-12);
+  EXPECT_LT((points - box).norm(), 1e-6);
+  points.row(7) << -0.5, -0.5, -0.5;
+  EXPECT_LT(optimization.least_corner_jacobian(points), 0);
+  optimization.minimize(points, 200, 0.1);
+  EXPECT_GT(optimization.least_corner_jacobian(points), 0.5);
+}
+
+TEST(HexahedraOptimization, measures_a_box_and_sees_a_folded_cell) {
+  VertexMatrix points(8, 3);
+  for (int k = 0; k < 8; ++k) points.row(k) << (k & 1), (k >> 1 & 1), (k >> 2);
+  const LatticeHexahedron cell = {0, 1, 2, 3, 4, 5, 6, 7};
+  EXPECT_NEAR(least_jacobian(points, cell), 1, 1e-12);
+  EXPECT_NEAR(scaled_jacobian(points, cell), 1, 1e-12);
+  points.row(7) << 0.2, 0.2, 0.2;
+  EXPECT_LT(least_jacobian(points, cell), 0);
+}
+
+TEST(BlockGrid, counts_the_euler_characteristic_of_simple_bodies) {
+  BlockGrid grid(Vec3i::Constant(7));
+  for (int i = 2; i <= 4; ++i)
+    for (int j = 2; j <= 4; ++j) grid.filled[grid.index(i, j, 3)] = 1;
+  EXPECT_EQ(boundary_euler_characteristic(grid), 2);
+  EXPECT_EQ(count_singularities(grid).corners, 8);
+  EXPECT_FALSE(is_simple_flip(grid, {3, 3, 3}));  // would drill a hole
+  EXPECT_TRUE(is_simple_flip(grid, {2, 2, 3}));
+  EXPECT_TRUE(is_simple_flip(grid, {3, 3, 4}));
+  EXPECT_FALSE(is_simple_flip(grid, {1, 1, 3}));  // would touch along an edge only
+  grid.filled[grid.index(3, 3, 3)] = 0;
+  EXPECT_EQ(boundary_euler_characteristic(grid), 0);
+  EXPECT_FALSE(is_simple_flip(grid, {3, 3, 3}));
+}
+
+TEST(Tetrahedralize, fills_a_closed_surface_and_returns_its_boundary) {
+  const TriangleMesh surface = shapes::torus(10, 4);
+  const TetrahedralizeResult result = tetrahedralize(surface, {});
+  EXPECT_FALSE(result.simplified);
+  const TriangleMesh boundary = boundary_of(result.mesh);
+  EXPECT_EQ(boundary.face_count(), surface.face_count());
+  EXPECT_NEAR(enclosed_volume(boundary), enclosed_volume(surface), 1e-9 * enclosed_volume(surface));
+  EXPECT_EQ(surface_genus(boundary), 1);
+}
+
+TEST(Tetrahedralize, simplifies_a_heavy_surface_without_changing_its_genus) {
+  const TriangleMesh surface = shapes::torus(10, 4, 120, 60);
+  TetrahedralizeOptions options;
+  options.proxy_faces = 3000;
+  const TetrahedralizeResult result = tetrahedralize(surface, options);
+  EXPECT_TRUE(result.simplified);
+  EXPECT_LE(result.surface_faces, 3000);
+  const TriangleMesh boundary = boundary_of(result.mesh);
+  EXPECT_EQ(surface_genus(boundary), 1);
+  EXPECT_NEAR(enclosed_volume(boundary), enclosed_volume(surface), 0.01 * enclosed_volume(surface));
+}
+
+TEST(Tetrahedralize, refuses_a_surface_that_crosses_itself) {
+  const TriangleMesh a = shapes::box(2, 2, 2);
+  TriangleMesh both;
+  both.vertices.resize(2 * a.vertices.rows(), 3);
+  both.vertices << a.vertices, (a.vertices.rowwise() + Eigen::RowVector3d(1, 0.7, 0.9));
+  both.faces.resize(2 * a.faces.rows(), 3);
+  both.faces << a.faces, (a.faces.array() + a.vertex_count()).matrix();
+  EXPECT_THROW(tetrahedralize(both, {}), InputError);
+}
+
+TEST(VoxelPolycube, refuses_what_it_cannot_raster) {
+  EXPECT_THROW(build_voxel_polycube(shapes::box(1000, 1000, 1e-4), {}), InputError);
+  TriangleMesh inside_out = shapes::box(1, 1, 1);
+  inside_out.faces.col(1).swap(inside_out.faces.col(2));
+  EXPECT_THROW(build_voxel_polycube(inside_out, {}), InputError);
+}
+
+}  // namespace
+}  // namespace shellgrid
