@@ -11,6 +11,7 @@
 #include "meshing/core/parallel.h"
 #include "meshing/core/random.h"
 #include "meshing/polycube/target_surface.h"
+#include "meshing/surface/repair.h"
 
 namespace shellgrid {
 namespace {
@@ -301,23 +302,6 @@ double score_of(const Candidate& candidate, int object_genus, int cells_per_bloc
 
 }  // namespace
 
-double enclosed_volume(const TriangleMesh& surface) {
-  double volume = 0;
-  for (int f = 0; f < surface.face_count(); ++f)
-    volume += surface.corner(f, 0).dot(surface.corner(f, 1).cross(surface.corner(f, 2)));
-  return volume / 6;
-}
-
-int surface_genus(const TriangleMesh& surface) {
-  std::vector<std::uint8_t> used(surface.vertex_count(), 0);
-  long vertices = 0;
-  for (int f = 0; f < surface.face_count(); ++f)
-    for (int k = 0; k < 3; ++k)
-      if (!used[surface.faces(f, k)]) used[surface.faces(f, k)] = 1, ++vertices;
-  const long euler = vertices - surface.face_count() / 2;  // E = 3F/2 on a closed surface
-  return static_cast<int>((2 - euler) / 2);
-}
-
 VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOptions& options, Progress& progress) {
   const double volume = enclosed_volume(surface);
   if (!(volume > 0)) throw InputError("the surface encloses no volume; expected a closed surface with outward faces");
@@ -327,7 +311,7 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
                                ? options.grid
                                : static_cast<int>(std::exp2(
                                      std::max(0.0, std::round(std::log2(std::cbrt(options.nodes / options.blocks))))));
-  result.object_genus = surface_genus(surface);
+  result.object_genus = genus(surface);
   const double block_edge = result.spacing * result.cells_per_block;
 
   const Vec3 low = surface.vertices.colwise().minCoeff().transpose();

@@ -37,8 +37,4 @@ struct PolycubeOptions {
 VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOptions& options,
                                    Progress& progress = no_progress());
 
-// Volume enclosed by a closed surface, mm³. Genus of a closed surface of one component.
-double enclosed_volume(const TriangleMesh& surface);
-int surface_genus(const TriangleMesh& surface);
-
 }  // namespace shellgrid
