@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/surface/direction_field.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+
+namespace shellgrid {
+namespace {
+
+// Neighbours of each vertex of a level: those whose regions touch. Compressed rows over positions in the level.
+struct LevelGraph {
+  std::vector<std::int32_t> offsets, neighbours;
+};
+
+LevelGraph build_level_graph(const TriangleMesh& mesh, const VertexHierarchy::Level& level) {
+  std::vector<std::int32_t> position(mesh.vertex_count(), -1);
+  for (std::size_t i = 0; i < level.vertices.size(); ++i) position[level.vertices[i]] = static_cast<std::int32_t>(i);
+  std::vector<std::pair<std::int32_t, std::int32_t>> links;
+  for (int f = 0; f < mesh.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) {
+      const std::int32_t a = position[level.nearest[mesh.faces(f, k)]];
+      const std::int32_t b = position[level.nearest[mesh.faces(f, (k + 1) % 3)]];
+      if (a != b) links.emplace_back(a, b), links.emplace_back(b, a);
+    }
+  std::sort(links.begin(), links.end());
+  links.erase(std::unique(links.begin(), links.end()), links.end());
+  LevelGraph graph;
+  graph.offsets.assign(level.vertices.size() + 1, 0);
+  for (const auto& [a, b] : links) ++graph.offsets[a + 1], graph.neighbours.push_back(b);
+  for (std::size_t i = 0; i < level.vertices.size(); ++i) graph.offsets[i + 1] += graph.offsets[i];
+  return graph;
+}
+
+// The unit projection of `vector` to the plane across `normal`; `fallback` (tangent) where it vanishes.
+Vec3 tangent_unit(const Vec3& vector, const Vec3& normal, const Vec3& fallback) {
+  const Vec3 projected = vector - normal * normal.dot(vector);
+  const double length = projected.norm();
+  return length > 1e-9 ? Vec3(projected / length) : fallback;
+}
+
+Vec3 any_tangent(const Vec3& normal) {
+  int axis = 0;
+  normal.cwiseAbs().minCoeff(&axis);
+  return normal.cross(Vec3::Unit(axis)).normalized();
+}
+
+}  // namespace
+
+VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& normals,
+                                  const VertexHierarchy& hierarchy, const Vec3& preferred) {
+  if (!(preferred.norm() > 0) || !preferred.allFinite()) throw InputError("preferred direction must not be zero");
+  VertexMatrix field(mesh.vertex_count(), 3);
+  const Vec3 axis = preferred.normalized();
+  parallel_for(mesh.vertex_count(), [&](std::size_t v) {
+    const Vec3 n = normals.row(v).transpose();
+    field.row(v) = tangent_unit(axis, n, any_tangent(n)).transpose();
+  });
+  for (int l = static_cast<int>(hierarchy.levels.size()) - 1; l >= 0; --l) {
+    const VertexHierarchy::Level& level = hierarchy.levels[l];
+    const LevelGraph graph = build_level_graph(mesh, level);
+    const std::size_t count = level.vertices.size();
+    if (l + 1 < static_cast<int>(hierarchy.levels.size())) {
+      const VertexHierarchy::Level& coarser = hierarchy.levels[l + 1];
+      std::vector<Vec3> started(count);
+      parallel_for(count, [&](std::size_t i) {
+        const std::int32_t v = level.vertices[i], parent = coarser.nearest[v];
+        const Vec3 n = normals.row(v).transpose();
+        started[i] = tangent_unit(carry_tangent(field.row(parent).transpose(), normals.row(parent).transpose(), n), n,
+                                  any_tangent(n));
+      });
+      for (std::size_t i = 0; i < count; ++i) field.row(level.vertices[i]) = started[i].transpose();
+    }
+    const int sweeps = l + 1 == static_cast<int>(hierarchy.levels.size()) ? 200 : 20;
+    std::vector<Vec3> smoothed(count);
+    for (int sweep = 0; sweep < sweeps; ++sweep) {
+      parallel_for(count, [&](std::size_t i) {
+        const std::int32_t v = level.vertices[i];
+        const Vec3 own = field.row(v).transpose(), n = normals.row(v).transpose();
+        Vec3 sum = own;  // its own share keeps the simultaneous update from oscillating
+        for (std::int32_t at = graph.offsets[i]; at < graph.offsets[i + 1]; ++at)
+          sum += field.row(level.vertices[graph.neighbours[at]]).transpose();
+        smoothed[i] = tangent_unit(sum, n, own);
+      });
+      for (std::size_t i = 0; i < count; ++i) field.row(level.vertices[i]) = smoothed[i].transpose();
+    }
+  }
+  return field;
+}
+
+Vec3 carry_tangent(const Vec3& tangent, const Vec3& from_normal, const Vec3& to_normal) {
+  const Vec3 axis = from_normal.cross(to_normal);
+  const double cosine = from_normal.dot(to_normal);
+  if (cosine < -0.999999) return -tangent;
+  // Rodrigues with |axis| = sine: R t = c t + axis × t + axis (axis·t) / (1 + c).
+  return cosine * tangent + axis.cross(tangent) + axis * (axis.dot(tangent) / (1 + cosine));
+}
+
+std::vector<int> direction_field_indices(const TriangleMesh& mesh, const VertexMatrix& normals,
+                                         const VertexMatrix& field) {
+  std::vector<int> indices(mesh.face_count(), 0);
+  const auto normal_of = [&](int v) { return Vec3(normals.row(v).transpose()); };
+  // Angle from the carried vector of `a` to the vector of `b`, seen from outside.
+  const auto turn = [&](int a, int b) {
+    const bool swapped = a > b;
+    if (swapped) std::swap(a, b);
+    const Vec3 n = normal_of(b);
+    const Vec3 carried = carry_tangent(field.row(a).transpose(), normal_of(a), n);
+    const Vec3 own = field.row(b).transpose();
+    const double angle = std::atan2(carried.cross(own).dot(n), carried.dot(own));
+    return swapped ? -angle : angle;
+  };
+  parallel_for(mesh.face_count(), [&](std::size_t f) {
+    const int a = mesh.faces(f, 0), b = mesh.faces(f, 1), c = mesh.faces(f, 2);
+    const Vec3 na = normal_of(a), nb = normal_of(b), nc = normal_of(c);
+    // Solid angle of the normals' triangle: what the frame turns by when carried around it.
+    const double solid_angle = 2 * std::atan2(na.dot(nb.cross(nc)), 1 + na.dot(nb) + nb.dot(nc) + nc.dot(na));
+    const double total = turn(a, b) + turn(b, c) + turn(c, a) + solid_angle;
+    indices[f] = static_cast<int>(std::lround(total / (2 * M_PI)));
+  });
+  return indices;
+}
+
+}  // namespace shellgrid

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/vdb_file.h"
+#include "pipeline/cli/stage_program.h"
+#include "pipeline/cli/view_path.h"
+#include "synthesis/sample_archive.h"
+#include "synthesis/sample_check.h"
+#include "synthesis/textured_mesh.h"
+
+using namespace shellgrid;
+
+int main(int argc, char** argv) {
+  std::string mesh_path, distance_path, sample_path;
+  double thickness = 4;
+  std::vector<double> absorption, scattering, anisotropy;
+  StageProgram program("shell", "Resamples the synthesised shell on a regular two-level grid.");
+  program.input("synthesized.ply", mesh_path, "surface with texture coordinates, from sg-synthesize");
+  program.input("distance.vdb", distance_path, "distance field of the same surface, from sg-distance");
+  program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
+  program.output("shell.vdb", "the shell's voxels");
+  program.option("--thickness", thickness, "mm", "thickness of the shell", 1e-6, 1e4);
+  program.option("--core-absorption", absorption, "1/mm", "of the core; without it the sample's bottom layer", 0, 1e6);
+  program.option("--core-scattering", scattering, "1/mm", "of the core", 0, 1e6);
+  program.option("--core-anisotropy", anisotropy, "", "of the core; 0 where not given", -0.999, 0.999);
+  program.example("sg-shell synthesized.ply distance.vdb sample.vdb -o shell.vdb", "a shell 4 mm thick");
+  return program.run(argc, argv, [&](StageRun& run) {
+    if (absorption.empty() != scattering.empty())
+      throw InputError("--core-absorption and --core-scattering must be given together");
+    run.start_timer("read");
+    const TexturedMesh mesh = detach_texture(read_mesh(mesh_path), mesh_path);
+    const DistanceField distance = read_distance_field(distance_path);
+    const MaterialSample sample = restore_sample(read_vdb(sample_path));
+    const auto color = [](const std::vector<double>& v) {
+      return v.empty() ? Rgb(Rgb::Zero()) : Rgb(Eigen::Array3d(v[0], v[1], v[2]).cast<float>());
+    };
+    const Material core = absorption.empty() ? bottom_layer_mean(sample)
+                                             : Material::from_absorption_scattering(
+                                                   color(absorption), color(scattering), color(anisotropy));
+    run.start_timer("resample");
+    ShellStatistics statistics;
+    const ShellVolume shell = resample_shell(mesh, distance, sample, core, thickness, &statistics, run.progress());
+    run.start_timer("write");
+    write_shell_volume(run.output(), shell);
+    const std::string view = view_path(run.output());
+    write_ply(view, view_shell(mesh, shell));
+    run.note_output(view);
+    run.results() = {
+        {"leaves", statistics.leaves},
+        {"possible_leaves", statistics.possible_leaves},
+        {"voxels", statistics.voxels},
+        {"free_space_voxels", statistics.free_voxels},
+        {"bytes", statistics.bytes},
+        {"dense_bytes", statistics.possible_leaves * 512 * 64},
+        {"skipped_share_of_leaves", 1 - static_cast<double>(statistics.leaves) / statistics.possible_leaves},
+        {"skipped_share_of_band", statistics.skipped_share}};
+    run.print(
+        fmt::format("{} voxels in {} of {} leaves", statistics.voxels, statistics.leaves, statistics.possible_leaves));
+  });
+}

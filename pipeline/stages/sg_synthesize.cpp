@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/vdb_file.h"
+#include "pipeline/cli/stage_program.h"
+#include "synthesis/sample_archive.h"
+#include "synthesis/synthesis_quality.h"
+#include "synthesis/textured_mesh.h"
+
+using namespace shellgrid;
+
+int main(int argc, char** argv) {
+  std::string surface_path, textons_path;
+  SynthesisOptions options;
+  std::vector<double> direction = {0, 1, 0};
+  double voxel = 0;
+  StageProgram program("synthesize", "Grows a sample over a surface: a texture coordinate for every vertex.");
+  program.input("surface.ply", surface_path, "mesh with vertices a voxel apart, from sg-prepare");
+  program.input("textons.vdb", textons_path, "how the sample looks, from sg-textons");
+  program.output("synthesized.ply", "the mesh with texture_u, texture_v, direction_x/y/z and colours");
+  program.option("--voxel", voxel, "mm", "edge of a voxel; 0 takes the sample's", 0, 1e4);
+  program.option("--direction", direction, "", "the texture's u runs this way where the surface allows");
+  program.option("--passes", options.passes, "", "correction passes at each level but the finest", 0, 100);
+  program.option("--final-passes", options.final_passes, "", "correction passes at the finest level", 0, 100);
+  program.option("--jitter", options.jitter, "texels", "random shift of coordinates at coarse levels", 0, 10);
+  program.example("sg-synthesize surface.ply textons.vdb -o synthesized.ply", "then look at it with MeshLab");
+  return program.run(argc, argv, [&](StageRun& run) {
+    run.start_timer("read");
+    const AttributedMesh surface = read_mesh(surface_path);
+    TextonSet textons = restore_textons(read_vdb(textons_path));
+    if (voxel > 0) textons.voxel = voxel;
+    options.direction = Vec3(direction[0], direction[1], direction[2]);
+    options.seed = run.seed();
+    run.start_timer("synthesize");
+    const SurfaceTexture texture = synthesize_surface(surface.mesh, textons, options, run.progress());
+    run.start_timer("judge");
+    const SynthesisQuality quality = measure_synthesis(texture, textons);
+    run.start_timer("write");
+    write_ply(run.output(), attach_texture(texture, textons));
+    nlohmann::json levels;
+    for (const VertexHierarchy::Level& level : texture.hierarchy.levels) levels.push_back(level.vertices.size());
+    run.results() = {{"vertices", texture.coordinate.size()},
+                     {"level_vertices", levels},
+                     {"singularities_positive", texture.positive_singularities},
+                     {"singularities_negative", texture.negative_singularities},
+                     {"window_distance_over_variance", quality.window_distance},
+                     {"window_distance_random", quality.random},
+                     {"window_distance_tiling", quality.tiling},
+                     {"coherence", quality.coherence},
+                     {"texel_entropy", quality.texel_entropy},
+                     {"patches", quality.patches},
+                     {"median_patch_vertices", quality.median_patch}};
+    run.print(fmt::format("{} vertices, window distance {:.3f} (random {:.3f}, copy {:.3f}), coherence {:.2f}",
+                          texture.coordinate.size(), quality.window_distance, quality.random, quality.tiling,
+                          quality.coherence));
+  });
+}

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <Eigen/Core>
+
+namespace shellgrid {
+
+using RowMatrixf = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// Projects rows (n×d) on their first principal components: n×dimension, columns padded with zeros where d is less.
+// Distances between rows are kept but for the variance left out. Signs are fixed, so the result is unique.
+// kept: share of the variance that stays (1 where there is none).
+RowMatrixf reduce_dimensions(const RowMatrixf& rows, int dimension, double* kept = nullptr);
+
+}  // namespace shellgrid

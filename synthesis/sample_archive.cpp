@@ -1,0 +1,287 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "synthesis/sample_archive.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <limits>
+
+#include "meshing/core/error.h"
+#include "synthesis/procedural_sample.h"
+
+namespace shellgrid {
+namespace {
+
+// A box of active samples [0, size) filled by value(x, y, z).
+template <class T, class Value>
+TwoLevelGrid<T> fill_grid(const Vec3i& size, const T& background, const Value& value) {
+  TwoLevelGrid<T> grid(Vec3i::Zero(), (size.array() + 7) / 8, background);
+  for (int x = 0; x < size.x(); ++x)
+    for (int y = 0; y < size.y(); ++y)
+      for (int z = 0; z < size.z(); ++z) grid.set(x, y, z, value(x, y, z));
+  return grid;
+}
+
+template <class T>
+bool has_grid(const VdbArchive& archive, const std::string& name) {
+  return std::any_of(archive.grids.begin(), archive.grids.end(), [&](const VdbArchive::Entry& entry) {
+    return entry.name == name && std::holds_alternative<TwoLevelGrid<T>>(entry.grid);
+  });
+}
+
+void expect_kind(const VdbArchive& archive, const std::string& kind, const std::string& maker) {
+  const auto entry = archive.metadata.find("kind");
+  if (entry == archive.metadata.end() || entry->second != kind)
+    throw InputError(
+        fmt::format("{}: {}; expected a {} as {} writes it", archive.path,
+                    entry == archive.metadata.end() ? "is not one of this project's volumes" : "is a " + entry->second,
+                    kind, maker));
+}
+
+int whole(const VdbArchive& archive, const std::string& key, double least, double most) {
+  const double value = archive.number(key);
+  if (!(value >= least && value <= most) || value != std::floor(value))
+    throw InputError(fmt::format("{}: the metadata '{}' is {}, out of range", archive.path, key, value));
+  return static_cast<int>(value);
+}
+
+Vec3i read_size(const VdbArchive& archive) {
+  const std::vector<double> size = archive.numbers("size", 3);
+  for (double n : size)
+    if (!(n >= 1 && n <= 4096) || n != std::floor(n))
+      throw InputError(fmt::format("{}: the metadata 'size' is out of range", archive.path));
+  if (size[0] * size[1] * size[2] > 2e8) throw InputError(archive.path + ": the sample is too large");
+  return {static_cast<int>(size[0]), static_cast<int>(size[1]), static_cast<int>(size[2])};
+}
+
+void allocate(MaterialSample& sample) {
+  const std::size_t count = sample.voxel_count();
+  sample.extinction.assign(count, Vec3f::Zero());
+  sample.albedo.assign(count, Vec3f::Zero());
+  sample.anisotropy.assign(count, Vec3f::Zero());
+  sample.normal.assign(count, Vec3f::Zero());
+  sample.kind.assign(count, VoxelKind::interior);
+}
+
+template <class Visit>
+void for_each_index(const Vec3i& size, const Visit& visit) {
+  std::size_t index = 0;
+  for (int z = 0; z < size.z(); ++z)
+    for (int y = 0; y < size.y(); ++y)
+      for (int x = 0; x < size.x(); ++x) visit(index++, x, y, z);
+}
+
+VoxelKind to_kind(int value, const std::string& path) {
+  if (value < 0 || value > 2) throw InputError(fmt::format("{}: kind {} is none of 0, 1, 2", path, value));
+  return static_cast<VoxelKind>(value);
+}
+
+}  // namespace
+
+VdbArchive archive_sample(const MaterialSample& sample) {
+  VdbArchive archive;
+  archive.frame = {Vec3::Zero(), sample.voxel};
+  const auto add = [&](const std::string& name, const std::vector<Vec3f>& values) {
+    archive.grids.push_back({name, fill_grid<Vec3f>(sample.size, Vec3f::Zero(), [&](int x, int y, int z) {
+                               return values[sample.index(x, y, z)];
+                             })});
+  };
+  add("extinction", sample.extinction);
+  add("albedo", sample.albedo);
+  add("anisotropy", sample.anisotropy);
+  add("normal", sample.normal);
+  archive.grids.push_back({"kind", fill_grid<std::int32_t>(sample.size, 0, [&](int x, int y, int z) {
+                             return static_cast<std::int32_t>(sample.kind[sample.index(x, y, z)]);
+                           })});
+  archive.metadata["kind"] = "material sample";
+  archive.set_numbers("size", {static_cast<double>(sample.size.x()), static_cast<double>(sample.size.y()),
+                               static_cast<double>(sample.size.z())});
+  archive.set_numbers("voxel", {sample.voxel});
+  archive.set_numbers("ior", {sample.ior});
+  return archive;
+}
+
+bool is_sample_archive(const VdbArchive& archive) {
+  const auto entry = archive.metadata.find("kind");
+  return entry != archive.metadata.end() && entry->second == "material sample";
+}
+
+MaterialSample restore_sample(const VdbArchive& archive) {
+  expect_kind(archive, "material sample", "sg-sample");
+  MaterialSample sample;
+  sample.size = read_size(archive);
+  sample.voxel = archive.number("voxel");
+  sample.ior = archive.number("ior");
+  if (!(sample.voxel > 0) || !(sample.ior >= 1))
+    throw InputError(archive.path + ": the metadata 'voxel' or 'ior' is out of range");
+  allocate(sample);
+  const auto &extinction = archive.get<Vec3f>("extinction"), &albedo = archive.get<Vec3f>("albedo");
+  const auto &anisotropy = archive.get<Vec3f>("anisotropy"), &normal = archive.get<Vec3f>("normal");
+  const auto& kind = archive.get<std::int32_t>("kind");
+  for_each_index(sample.size, [&](std::size_t i, int x, int y, int z) {
+    sample.extinction[i] = extinction.value(x, y, z);
+    sample.albedo[i] = albedo.value(x, y, z);
+    sample.anisotropy[i] = anisotropy.value(x, y, z);
+    sample.normal[i] = normal.value(x, y, z);
+    sample.kind[i] = to_kind(kind.value(x, y, z), archive.path);
+  });
+  return sample;
+}
+
+MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& options) {
+  Vec3i lower = Vec3i::Constant(std::numeric_limits<int>::max()), upper = -lower;
+  const auto include = [&](int i, int j, int k, const auto&) {
+    lower = lower.cwiseMin(Vec3i(i, j, k)), upper = upper.cwiseMax(Vec3i(i, j, k));
+  };
+  // Reads a colour from a vec3s or float grid; null where there is neither.
+  const auto reader = [&](const std::string& name) -> std::function<Vec3f(int, int, int)> {
+    if (has_grid<Vec3f>(archive, name)) {
+      const auto& grid = archive.get<Vec3f>(name);
+      return [&grid](int i, int j, int k) { return grid.value(i, j, k); };
+    }
+    if (has_grid<float>(archive, name)) {
+      const auto& grid = archive.get<float>(name);
+      return [&grid](int i, int j, int k) { return Vec3f(Vec3f::Constant(grid.value(i, j, k))); };
+    }
+    return nullptr;
+  };
+  const auto extinction = reader("extinction"), density = reader("density");
+  if (!extinction && !density)
+    throw InputError(archive.path + ": has neither a grid 'extinction' nor a grid 'density'");
+  const std::string main = extinction ? "extinction" : "density";
+  if (has_grid<Vec3f>(archive, main))
+    archive.get<Vec3f>(main).for_each_active(include);
+  else
+    archive.get<float>(main).for_each_active(include);
+  if ((lower.array() > upper.array()).any())
+    throw InputError(archive.path + ": the grid '" + main + "' has no active voxels");
+  MaterialSample sample;
+  sample.size = upper - lower + Vec3i::Ones();
+  if (sample.size.cast<double>().prod() > 2e8 || sample.size.x() < 4 || sample.size.y() < 4)
+    throw InputError(fmt::format(
+        "{}: the active voxels fill {} x {} x {}; a sample has 4 voxels at least in x and y and 2e8 at most in all",
+        archive.path, sample.size.x(), sample.size.y(), sample.size.z()));
+  sample.voxel = archive.frame.voxel;
+  sample.ior = options.ior;
+  allocate(sample);
+  const auto albedo = reader("albedo"), anisotropy = reader("anisotropy");
+  const bool has_kind = has_grid<std::int32_t>(archive, "kind"), has_normal = has_grid<Vec3f>(archive, "normal");
+  for_each_index(sample.size, [&](std::size_t index, int x, int y, int z) {
+    const int i = x + lower.x(), j = y + lower.y(), k = z + lower.z();
+    const Vec3f value =
+        extinction ? extinction(i, j, k) : Vec3f(density(i, j, k) * static_cast<float>(options.extinction_scale));
+    const bool free = has_kind ? archive.get<std::int32_t>("kind").value(i, j, k) == 0
+                               : !((extinction ? value : density(i, j, k)).maxCoeff() > options.least_density);
+    if (free) {
+      sample.kind[index] = VoxelKind::free_space;
+      return;
+    }
+    sample.extinction[index] = value;
+    sample.albedo[index] = albedo ? albedo(i, j, k) : Vec3f(options.albedo.matrix());
+    sample.anisotropy[index] = anisotropy ? anisotropy(i, j, k) : Vec3f(options.anisotropy.matrix());
+  });
+  if (has_kind && has_normal) {
+    for_each_index(sample.size, [&](std::size_t index, int x, int y, int z) {
+      const int i = x + lower.x(), j = y + lower.y(), k = z + lower.z();
+      sample.kind[index] = to_kind(archive.get<std::int32_t>("kind").value(i, j, k), archive.path);
+      const Vec3f normal = archive.get<Vec3f>("normal").value(i, j, k);
+      if (sample.kind[index] == VoxelKind::surface)
+        sample.normal[index] = normal.norm() > 1e-6f ? Vec3f(normal.normalized()) : Vec3f(0, 0, -1);
+    });
+  } else {
+    mark_surface(sample);
+  }
+  return sample;
+}
+
+VdbArchive archive_textons(const TextonSet& textons) {
+  VdbArchive archive;
+  archive.frame = {Vec3::Zero(), textons.voxel};
+  const Vec3i size(textons.width, textons.height, 1);
+  const auto add_floats = [&](const std::string& name, const std::vector<float>& values) {
+    for (int c = 0; c < TextonSet::dimension; ++c)
+      archive.grids.push_back(
+          {fmt::format("{}_{}", name, c), fill_grid<float>(size, 0.0f, [&](int x, int y, int) {
+             return values[static_cast<std::size_t>(y * textons.width + x) * TextonSet::dimension + c];
+           })});
+  };
+  const auto add_indices = [&](const std::string& name, const std::vector<std::int32_t>& values, int stride, int k) {
+    archive.grids.push_back({name, fill_grid<std::int32_t>(size, -1, [&](int x, int y, int) {
+                               return values[static_cast<std::size_t>(y * textons.width + x) * stride + k];
+                             })});
+  };
+  archive.grids.push_back({"color", fill_grid<Vec3f>(size, Vec3f::Zero(), [&](int x, int y, int) {
+                             return textons.color[static_cast<std::size_t>(y) * textons.width + x];
+                           })});
+  add_indices("texton", textons.textons, 1, 0);
+  add_floats("feature", textons.features);
+  for (std::size_t l = 0; l < textons.levels.size(); ++l) {
+    add_floats(fmt::format("appearance_{}", l), textons.levels[l].appearance);
+    for (int k = 0; k < textons.candidate_count; ++k)
+      add_indices(fmt::format("candidate_{}_{}", l, k), textons.levels[l].candidates, textons.candidate_count, k);
+  }
+  archive.metadata["kind"] = "texton set";
+  archive.set_numbers("size", {static_cast<double>(textons.width), static_cast<double>(textons.height), 1});
+  archive.set_numbers("voxel", {textons.voxel});
+  archive.set_numbers("levels", {static_cast<double>(textons.levels.size())});
+  archive.set_numbers("candidates", {static_cast<double>(textons.candidate_count)});
+  archive.set_numbers("textons", {static_cast<double>(textons.texton_count)});
+  return archive;
+}
+
+TextonSet restore_textons(const VdbArchive& archive) {
+  expect_kind(archive, "texton set", "sg-textons");
+  TextonSet textons;
+  const Vec3i size = read_size(archive);
+  textons.width = size.x(), textons.height = size.y();
+  textons.voxel = archive.number("voxel");
+  if (!(textons.voxel > 0)) throw InputError(archive.path + ": the metadata 'voxel' is out of range");
+  textons.candidate_count = whole(archive, "candidates", 1, 8);
+  textons.texton_count = whole(archive, "textons", 1, 1e6);
+  const int levels = whole(archive, "levels", 1, 16);
+  const std::size_t count = textons.texel_count();
+  const auto read_floats = [&](const std::string& name) {
+    std::vector<float> values(count * TextonSet::dimension);
+    for (int c = 0; c < TextonSet::dimension; ++c) {
+      const auto& grid = archive.get<float>(fmt::format("{}_{}", name, c));
+      for_each_index(Vec3i(size.x(), size.y(), 1), [&](std::size_t i, int x, int y, int) {
+        const float value = grid.value(x, y, 0);
+        if (!std::isfinite(value))
+          throw InputError(fmt::format("{}: the grid '{}_{}' holds {}", archive.path, name, c, value));
+        values[i * TextonSet::dimension + c] = value;
+      });
+    }
+    return values;
+  };
+  const auto read_indices = [&](const std::string& name, std::vector<std::int32_t>& values, int stride, int k,
+                                int most) {
+    const auto& grid = archive.get<std::int32_t>(name);
+    for_each_index(Vec3i(size.x(), size.y(), 1), [&](std::size_t i, int x, int y, int) {
+      const std::int32_t value = grid.value(x, y, 0);
+      if (value < 0 || value >= most)
+        throw InputError(fmt::format("{}: the grid '{}' holds {}, out of range", archive.path, name, value));
+      values[i * stride + k] = value;
+    });
+  };
+  const auto& color = archive.get<Vec3f>("color");
+  textons.color.resize(count);
+  for_each_index(Vec3i(size.x(), size.y(), 1),
+                 [&](std::size_t i, int x, int y, int) { textons.color[i] = color.value(x, y, 0); });
+  textons.textons.resize(count);
+  read_indices("texton", textons.textons, 1, 0, textons.texton_count);
+  textons.features = read_floats("feature");
+  for (int l = 0; l < levels; ++l) {
+    TextonSet::Level level;
+    level.appearance = read_floats(fmt::format("appearance_{}", l));
+    level.candidates.resize(count * textons.candidate_count);
+    for (int k = 0; k < textons.candidate_count; ++k)
+      read_indices(fmt::format("candidate_{}_{}", l, k), level.candidates, textons.candidate_count, k,
+                   static_cast<int>(count));
+    textons.levels.push_back(std::move(level));
+  }
+  return textons;
+}
+
+}  // namespace shellgrid

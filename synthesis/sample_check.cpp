@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "synthesis/sample_check.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "meshing/core/error.h"
+#include "synthesis/albedo.h"
+
+namespace shellgrid {
+namespace {
+
+void check_values(const MaterialSample& sample) {
+  for (std::size_t i = 0; i < sample.voxel_count(); ++i) {
+    const Vec3f &extinction = sample.extinction[i], &albedo = sample.albedo[i], &anisotropy = sample.anisotropy[i];
+    const bool good = extinction.allFinite() && albedo.allFinite() && anisotropy.allFinite() &&
+                      extinction.minCoeff() >= 0 && albedo.minCoeff() >= 0 && albedo.maxCoeff() <= 1 &&
+                      anisotropy.cwiseAbs().maxCoeff() < 1;
+    if (good) continue;
+    const int x = static_cast<int>(i % sample.size.x()), y = static_cast<int>(i / sample.size.x() % sample.size.y());
+    throw InputError(fmt::format(
+        "voxel ({}, {}, {}) has extinction {}, albedo {}, anisotropy {}; expected extinction >= 0 per mm, albedo 0 to "
+        "1, anisotropy between -1 and 1",
+        x, y, i / sample.size.x() / sample.size.y(), extinction.minCoeff(), albedo.maxCoeff(), anisotropy.maxCoeff()));
+  }
+}
+
+// What a voxel looks and weighs like, for steps between neighbours.
+Eigen::Array<float, 7, 1> signature(const MaterialSample& sample, std::size_t index) {
+  Eigen::Array<float, 7, 1> values;
+  values.head<3>() = sample.extinction[index].array().log1p();
+  values.segment<3>(3) = diffuse_color(sample.material(index), sample.ior);
+  values[6] = sample.kind[index] == VoxelKind::free_space ? 1.0f : 0.0f;
+  return values;
+}
+
+// Mean step across the seam over the largest mean step between neighbouring slices inside.
+double seam(const MaterialSample& sample, int axis) {
+  const int n = sample.size[axis], other = sample.size[1 - axis];
+  if (n < 3) return 0;
+  std::vector<double> step(n, 0.0);  // from slice i to i + 1, wrapping
+  for (int z = 0; z < sample.size.z(); ++z)
+    for (int j = 0; j < other; ++j)
+      for (int i = 0; i < n; ++i) {
+        const int next = (i + 1) % n;
+        const std::size_t a = axis == 0 ? sample.index(i, j, z) : sample.index(j, i, z);
+        const std::size_t b = axis == 0 ? sample.index(next, j, z) : sample.index(j, next, z);
+        step[i] += (signature(sample, a) - signature(sample, b)).abs().sum();
+      }
+  const double inside = *std::max_element(step.begin(), step.end() - 1);
+  const double least = 1e-6 * other * sample.size.z();
+  return step.back() <= least ? 0 : step.back() / std::max(inside, least);
+}
+
+}  // namespace
+
+SampleCheck check_sample(const MaterialSample& sample) {
+  check_values(sample);
+  SampleCheck check;
+  const std::size_t count = sample.voxel_count();
+  Eigen::Array3d absorption = Eigen::Array3d::Zero(), reduced = absorption, extinction = absorption;
+  std::size_t material = 0;
+  int deepest = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    if (sample.kind[i] == VoxelKind::free_space) {
+      deepest = std::max(deepest, static_cast<int>(i / sample.size.x() / sample.size.y()) + 1);
+      continue;
+    }
+    ++material;
+    absorption += sample.material(i).absorption().cast<double>();
+    reduced += sample.material(i).reduced_extinction().cast<double>();
+    extinction += sample.extinction[i].array().cast<double>();
+  }
+  if (material == 0) throw InputError("the sample holds no material, only free space");
+  const double scale = 1.0 / static_cast<double>(material);
+  check.diffuse_mean_free_path = (1 / (3 * absorption * reduced * scale * scale).sqrt()).cast<float>();
+  check.mean_free_path = (1 / (extinction * scale)).cast<float>();
+  check.mesostructure_depth = deepest * sample.voxel;
+  check.free_share = 1 - static_cast<double>(material) / static_cast<double>(count);
+  check.seam_x = seam(sample, 0);
+  check.seam_y = seam(sample, 1);
+
+  for (int axis = 0; axis < 2; ++axis) {
+    const double ratio = axis == 0 ? check.seam_x : check.seam_y;
+    if (ratio > 1.5)
+      check.complaints.push_back(
+          fmt::format("not tilable in {}: the step across the wrap-around is {:.3g} times the largest inside; crop the "
+                      "sample to whole periods or blend its edges",
+                      "xy"[axis], ratio));
+  }
+  const double needed_width = 2 * check.diffuse_mean_free_path.maxCoeff();
+  for (int axis = 0; axis < 2; ++axis) {
+    const double width = sample.size[axis] * sample.voxel;
+    if (width > needed_width) continue;
+    check.complaints.push_back(
+        std::isfinite(needed_width)
+            ? fmt::format(
+                  "n_{} = {} voxels ({:.4g} mm) is not above two diffuse mean free paths ({:.4g} mm); make it at "
+                  "least {:.0f} voxels, the voxel at least {:.4g} mm, or absorption stronger",
+                  "xy"[axis], sample.size[axis], width, needed_width, std::floor(needed_width / sample.voxel) + 1,
+                  needed_width / sample.size[axis])
+            : fmt::format("n_{} = {} voxels is not above two diffuse mean free paths, which are infinite without "
+                          "absorption; give the material some absorption",
+                          "xy"[axis], sample.size[axis]));
+  }
+  const double needed_depth = check.mesostructure_depth + 3 * check.mean_free_path.maxCoeff();
+  const double depth = sample.size.z() * sample.voxel;
+  if (!(depth > needed_depth))
+    check.complaints.push_back(
+        fmt::format("n_z = {} voxels ({:.4g} mm) is not above the mesostructure's depth and three mean free paths "
+                    "({:.4g} mm); make the thickness above {:.4g} mm ({:.0f} voxels)",
+                    sample.size.z(), depth, needed_depth, needed_depth, std::floor(needed_depth / sample.voxel) + 1));
+  return check;
+}
+
+Material bottom_layer_mean(const MaterialSample& sample) {
+  const std::size_t layer = static_cast<std::size_t>(sample.size.x()) * sample.size.y();
+  Eigen::Array3d absorption = Eigen::Array3d::Zero(), scattering = absorption, forward = absorption;
+  std::size_t count = 0;
+  for (std::size_t i = sample.voxel_count() - layer; i < sample.voxel_count(); ++i) {
+    if (sample.kind[i] == VoxelKind::free_space) continue;
+    const Material material = sample.material(i);
+    absorption += material.absorption().cast<double>();
+    scattering += material.scattering().cast<double>();
+    forward += (material.scattering() * material.anisotropy).cast<double>();
+    ++count;
+  }
+  if (count == 0)
+    throw InputError("the sample's bottom layer is free space, so it cannot give the core; make the sample deeper");
+  const Rgb anisotropy = (scattering > 0).select(forward / scattering, Eigen::Array3d::Zero()).cast<float>();
+  return Material::from_absorption_scattering((absorption / count).cast<float>(), (scattering / count).cast<float>(),
+                                              anisotropy);
+}
+
+}  // namespace shellgrid

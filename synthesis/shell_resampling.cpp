@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "synthesis/shell_resampling.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+
+namespace shellgrid {
+namespace {
+
+using Mask = TwoLevelGrid<float>::Mask;
+
+void check_inputs(const TexturedMesh& mesh, const DistanceField& distance, const MaterialSample& sample,
+                  double thickness) {
+  if (std::abs(distance.frame.voxel - sample.voxel) > 1e-4 * sample.voxel)
+    throw InputError(
+        fmt::format("the distance field's voxel is {} mm and the sample's {} mm; they must be equal; try "
+                    "sg-distance --voxel {}",
+                    distance.frame.voxel, sample.voxel, sample.voxel));
+  if (!(thickness > 0)) throw InputError("the shell's thickness must be above 0");
+  if (distance.inside_band < thickness * (1 - 1e-6))
+    throw InputError(
+        fmt::format("the distance field reaches {} mm inside and the shell is {} mm thick; try "
+                    "sg-distance --inside {}",
+                    distance.inside_band, thickness, thickness + 2 * sample.voxel));
+  if (static_cast<int>(mesh.coordinate.size()) != mesh.mesh.vertex_count())
+    throw InternalError("one texture coordinate a vertex expected");
+}
+
+}  // namespace
+
+std::size_t sample_voxel(const MaterialSample& sample, const Vec3f& texture_coordinate) {
+  const auto wrapped = [](float t, int n) {
+    const int i = static_cast<int>(std::floor(t)) % n;
+    return i < 0 ? i + n : i;
+  };
+  const int z = std::clamp(static_cast<int>(texture_coordinate.z()), 0, sample.size.z() - 1);
+  return sample.index(wrapped(texture_coordinate.x(), sample.size.x()),
+                      wrapped(texture_coordinate.y(), sample.size.y()), z);
+}
+
+ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distance, const MaterialSample& sample,
+                           const Material& core, double thickness, ShellStatistics* statistics, Progress& progress) {
+  check_inputs(mesh, distance, sample, thickness);
+  const TwoLevelGrid<float>& field = distance.distance;
+  const float deepest = static_cast<float>(-thickness * (1 + 1e-6));
+  const auto is_shell = [&](float d) { return d <= 0 && d >= deepest; };
+
+  // First which samples are shell, leaf by leaf; then only leaves that hold some are allocated.
+  std::vector<Mask> masks(field.leaf_count(), Mask{});
+  std::vector<char> used(field.leaf_count(), 0);
+  parallel_for(
+      field.leaf_count(),
+      [&](std::size_t leaf) {
+        const float* values = field.leaf_values(static_cast<int>(leaf));
+        for (int n = 0; n < 512; ++n)
+          if (TwoLevelGrid<float>::mask_test(field.leaf_mask(static_cast<int>(leaf)), n) && is_shell(values[n]))
+            TwoLevelGrid<float>::mask_set(masks[leaf], n), used[leaf] = 1;
+      },
+      8);
+  ShellVolume shell;
+  shell.frame = distance.frame;
+  shell.core = core;
+  shell.thickness = thickness;
+  shell.ior = sample.ior;
+  const TwoLevelGrid<Vec3f> empty(field.lower_leaf(), field.leaf_counts(), Vec3f::Zero());
+  shell.texture_coordinate = shell.extinction = shell.albedo = shell.anisotropy = shell.normal = empty;
+  shell.kind = TwoLevelGrid<std::int32_t>(field.lower_leaf(), field.leaf_counts(), 1);
+  TwoLevelGrid<Vec3f>* const colors[] = {&shell.texture_coordinate, &shell.extinction, &shell.albedo, &shell.anisotropy,
+                                         &shell.normal};
+  std::vector<int> source;  // the distance field's leaf of each shell leaf
+  for (int leaf = 0; leaf < field.leaf_count(); ++leaf) {
+    if (!used[leaf]) continue;
+    source.push_back(leaf);
+    for (TwoLevelGrid<Vec3f>* grid : colors)
+      grid->leaf_mask(grid->allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
+    shell.kind.leaf_mask(shell.kind.allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
+  }
+
+  progress.begin("shell", static_cast<long>(source.size()));
+  std::vector<char> foreign(source.size(), 0);
+  parallel_for(
+      source.size(),
+      [&](std::size_t at) {
+        const int leaf = static_cast<int>(at);
+        const Vec3i coordinate = field.leaf_coordinate(source[at]);
+        const int vertex_leaf = distance.nearest_vertex.find_leaf(coordinate);
+        for (int n = 0; n < 512; ++n) {
+          if (!TwoLevelGrid<float>::mask_test(masks[source[at]], n)) continue;
+          const std::int32_t vertex = vertex_leaf < 0 ? -1 : distance.nearest_vertex.leaf_values(vertex_leaf)[n];
+          if (vertex < 0 || vertex >= mesh.mesh.vertex_count()) {
+            foreign[at] = 1;
+            continue;
+          }
+          const float depth = static_cast<float>(-field.leaf_values(source[at])[n] / sample.voxel);
+          const Vec3f t(mesh.coordinate[vertex].x(), mesh.coordinate[vertex].y(), std::max(0.0f, depth));
+          const std::size_t voxel = sample_voxel(sample, t);
+          shell.texture_coordinate.leaf_values(leaf)[n] = t;
+          shell.extinction.leaf_values(leaf)[n] = sample.extinction[voxel];
+          shell.albedo.leaf_values(leaf)[n] = sample.albedo[voxel];
+          shell.anisotropy.leaf_values(leaf)[n] = sample.anisotropy[voxel];
+          shell.kind.leaf_values(leaf)[n] = static_cast<std::int32_t>(sample.kind[voxel]);
+          if (sample.kind[voxel] == VoxelKind::surface) {
+            const Vec3 w = mesh.normals.row(vertex).transpose(), u = mesh.directions.row(vertex).transpose();
+            const Vec3 local = sample.normal[voxel].cast<double>();
+            // The sample's z runs inwards.
+            const Vec3 normal = local.x() * u + local.y() * w.cross(u) - local.z() * w;
+            shell.normal.leaf_values(leaf)[n] = normal.normalized().cast<float>();
+          }
+        }
+        progress.advance();
+      },
+      4);
+  progress.end();
+  if (std::find(foreign.begin(), foreign.end(), 1) != foreign.end())
+    throw InputError("the distance field names vertices that the mesh does not have; make both from the same surface");
+
+  if (statistics) {
+    ShellStatistics s;
+    s.leaves = shell.extinction.leaf_count();
+    s.possible_leaves = static_cast<long>(field.leaf_counts().cast<long>().prod());
+    s.voxels = static_cast<long>(shell.extinction.active_count());
+    shell.kind.for_each_active([&](int, int, int, std::int32_t kind) { s.free_voxels += kind == 0; });
+    for (const TwoLevelGrid<Vec3f>* grid : colors) s.bytes += grid->bytes();
+    s.bytes += shell.kind.bytes();
+    const double band = static_cast<double>(field.active_count());
+    s.skipped_share = band > 0 ? 1 - static_cast<double>(s.voxels) / band : 0;
+    *statistics = s;
+  }
+  return shell;
+}
+
+}  // namespace shellgrid

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "meshing/core/progress.h"
+#include "synthesis/material_sample.h"
+
+namespace shellgrid {
+
+// What synthesis knows of a sample: for each texel T(x, y), a stack of n_z voxels, short vectors whose distances
+// say how alike two places look. Texel (x, y) stands at y·n_x + x; x and y wrap around.
+struct TextonSet {
+  static constexpr int dimension = 8;  // of an appearance vector, padded with zeros
+
+  // Level l compares neighbourhoods 2^l times as wide.
+  struct Level {
+    std::vector<float> appearance;         // n·8: a texel's weighted 5×5 window at distance 2^l, reduced
+    std::vector<std::int32_t> candidates;  // n·k: texels that look most alike, best first
+  };
+  int width = 0, height = 0;          // n_x, n_y
+  double voxel = 1;                   // d_0, mm
+  int candidate_count = 0;            // k
+  std::vector<Level> levels;          // finest first
+  std::vector<float> features;        // n·8: a texel's own voxel stack, reduced, without its neighbours
+  std::vector<std::int32_t> textons;  // n: label of the texel's texton
+  int texton_count = 0;
+  std::vector<Vec3f> color;  // n: sRGB code values 0 … 255 of the topmost material
+
+  int texel_count() const { return width * height; }
+};
+
+struct TextonOptions {
+  int candidate_count = 3;    // k, 1 … 8
+  int separation = 5;         // least distance between a texel and its candidates, and between these, texels
+  int texton_count = 400;     // clusters
+  bool quantize = false;      // replace each appearance by its texton's centre, as the paper does
+  int least_coarse_size = 8;  // texels across the coarsest level
+  std::uint64_t seed = 0;
+};
+
+struct TextonStatistics {
+  double feature_variance_kept = 0;              // share of the stacks' variance that the features carry
+  std::vector<double> appearance_variance_kept;  // the same of the windows, by level
+  double texton_error = 0;                       // mean squared distance to the texton's centre over the variance
+};
+
+// Features (log σ_t', diffuse reflectance of α', occupancy of each voxel of a stack) → principal components →
+// Gaussian stack → 5×5 windows → principal components; textons by K-means; candidates by exhaustive search.
+// Source: [STF §6], [LefebvreHoppe2006 §3], [Tong2002 §4].
+// Deviates: α' enters as the reflectance it causes, since equal steps of α' near one look very unequal.
+TextonSet make_textons(const MaterialSample& sample, const TextonOptions& options,
+                       TextonStatistics* statistics = nullptr, Progress& progress = no_progress());
+
+// sRGB colours 0 … 255 of the topmost material voxel of each texel: what the sample looks like from above.
+std::vector<Vec3f> top_colors(const MaterialSample& sample);
+
+}  // namespace shellgrid

@@ -1,0 +1,215 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "synthesis/textured_mesh.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "meshing/core/random.h"
+#include "meshing/formats/vdb_file.h"
+#include "meshing/surface/half_edges.h"
+#include "synthesis/albedo.h"
+
+namespace shellgrid {
+namespace {
+
+// Fills `red green blue quality` (appended in that order) from color(i) and quality(i).
+template <class Color, class Quality>
+void add_colors(AttributedMesh& mesh, const Color& color, const Quality& quality) {
+  const std::size_t n = mesh.mesh.vertex_count();
+  VertexProperty channels[4] = {{"red", {}}, {"green", {}}, {"blue", {}}, {"quality", {}}};
+  for (VertexProperty& channel : channels) channel.values.resize(n);
+  parallel_for(n, [&](std::size_t i) {
+    const Vec3f rgb = color(static_cast<int>(i));
+    for (int c = 0; c < 3; ++c) channels[c].values[i] = rgb[c];
+    channels[3].values[i] = quality(static_cast<int>(i));
+  });
+  for (VertexProperty& channel : channels) mesh.properties.push_back(std::move(channel));
+}
+
+}  // namespace
+
+AttributedMesh attach_texture(const SurfaceTexture& texture, const TextonSet& textons) {
+  AttributedMesh result;
+  result.mesh = texture.surface.mesh;
+  const int n = result.mesh.vertex_count();
+  const auto add = [&](const std::string& name, const auto& value) {
+    VertexProperty property{name, std::vector<float>(n)};
+    for (int v = 0; v < n; ++v) property.values[v] = static_cast<float>(value(v));
+    result.properties.push_back(std::move(property));
+  };
+  add("texture_u", [&](int v) { return texture.coordinate[v].x(); });
+  add("texture_v", [&](int v) { return texture.coordinate[v].y(); });
+  add("direction_x", [&](int v) { return texture.surface.directions(v, 0); });
+  add("direction_y", [&](int v) { return texture.surface.directions(v, 1); });
+  add("direction_z", [&](int v) { return texture.surface.directions(v, 2); });
+  add("s", [&](int v) { return texture.coordinate[v].x() / textons.width; });
+  add("t", [&](int v) { return texture.coordinate[v].y() / textons.height; });
+  add_colors(
+      result,
+      [&](int v) {
+        const Vec2f& c = texture.coordinate[v];
+        return textons.color[static_cast<std::size_t>(c.y()) * textons.width + static_cast<std::size_t>(c.x())];
+      },
+      [&](int v) { return texture.coherence[v]; });
+  return result;
+}
+
+TexturedMesh detach_texture(const AttributedMesh& mesh, const std::string& name) {
+  const auto property = [&](const std::string& key) -> const std::vector<float>& {
+    const std::vector<float>* values = mesh.find(key);
+    if (!values)
+      throw InputError(
+          fmt::format("{}: the vertices have no property '{}'; expected a mesh as sg-synthesize writes it", name, key));
+    for (std::size_t i = 0; i < values->size(); ++i)
+      if (!std::isfinite((*values)[i]))
+        throw InputError(fmt::format("{}: '{}' of vertex {} is not finite", name, key, i));
+    return *values;
+  };
+  const std::vector<float>&u = property("texture_u"), &v = property("texture_v");
+  const std::vector<float>* direction[3] = {&property("direction_x"), &property("direction_y"),
+                                            &property("direction_z")};
+  TexturedMesh result;
+  result.mesh = mesh.mesh;
+  result.normals = vertex_normals(mesh.mesh);
+  const int n = mesh.mesh.vertex_count();
+  result.directions.resize(n, 3);
+  result.coordinate.resize(n);
+  for (int i = 0; i < n; ++i) {
+    if (std::abs(u[i]) > 1e6f || std::abs(v[i]) > 1e6f)
+      throw InputError(
+          fmt::format("{}: texture coordinate ({}, {}) of vertex {} is out of range", name, u[i], v[i], i));
+    result.coordinate[i] = Vec2f(u[i], v[i]);
+    const Vec3 normal = result.normals.row(i).transpose();
+    Vec3 d((*direction[0])[i], (*direction[1])[i], (*direction[2])[i]);
+    d -= normal * normal.dot(d);
+    if (!(d.norm() > 1e-6))
+      throw InputError(fmt::format("{}: the direction of vertex {} is not tangent to the surface", name, i));
+    result.directions.row(i) = d.normalized().transpose();
+  }
+  return result;
+}
+
+AttributedMesh view_sample(const MaterialSample& sample) {
+  // Negative in material, positive around it, a voxel of margin on each side.
+  TwoLevelGrid<float> outside(Vec3i::Constant(-1), (sample.size.array() + 15) / 8 + 1, 0.5f);
+  const Vec3i size = sample.size;
+  for (int x = -1; x <= size.x(); ++x)
+    for (int y = -1; y <= size.y(); ++y)
+      for (int z = -1; z <= size.z(); ++z) {
+        const bool within = x >= 0 && y >= 0 && z >= 0 && x < size.x() && y < size.y() && z < size.z();
+        const bool material = within && sample.kind[sample.index(x, y, z)] != VoxelKind::free_space;
+        outside.set(x, y, z, material ? -0.5f : 0.5f);
+      }
+  AttributedMesh view;
+  view.mesh = extract_isosurface(outside, {Vec3::Zero(), sample.voxel}, 0.0);
+  const auto voxel_of = [&](int vertex) {
+    // The nearest material voxel of the eight around the vertex.
+    const Vec3 p = view.mesh.vertex(vertex) / sample.voxel;
+    const Vec3i base = p.array().floor().cast<int>();
+    std::size_t best = 0;
+    double best_distance = 1e300;
+    for (int corner = 0; corner < 8; ++corner) {
+      const Vec3i at = base + Vec3i(corner & 1, corner >> 1 & 1, corner >> 2);
+      if ((at.array() < 0).any() || (at.array() >= size.array()).any()) continue;
+      const std::size_t index = sample.index(at.x(), at.y(), at.z());
+      const double distance = (at.cast<double>() - p).squaredNorm();
+      if (sample.kind[index] != VoxelKind::free_space && distance < best_distance)
+        best_distance = distance, best = index;
+    }
+    return best;
+  };
+  add_colors(
+      view,
+      [&](int v) { return Vec3f(display_color(diffuse_color(sample.material(voxel_of(v)), sample.ior)).matrix()); },
+      [&](int v) { return static_cast<float>(view.mesh.vertices(v, 2)); });
+  // Drawn with the top up: depth runs downwards.
+  for (int v = 0; v < view.mesh.vertex_count(); ++v) view.mesh.vertices(v, 2) = -view.mesh.vertices(v, 2);
+  view.mesh.faces.col(1).swap(view.mesh.faces.col(2));
+  return view;
+}
+
+AttributedMesh view_textons(const TextonSet& textons) {
+  const int w = textons.width, h = textons.height;
+  AttributedMesh view;
+  view.mesh.vertices.resize(2 * w * h, 3);
+  const double thickness = textons.voxel;
+  for (int side = 0; side < 2; ++side)
+    for (int y = 0; y < h; ++y)
+      for (int x = 0; x < w; ++x)
+        view.mesh.vertices.row(side * w * h + y * w + x) << x * textons.voxel, y * textons.voxel, -side * thickness;
+  std::vector<Eigen::RowVector3i> faces;
+  const auto quad = [&](int a, int b, int c, int d) {
+    faces.emplace_back(a, b, c);
+    faces.emplace_back(a, c, d);
+  };
+  const auto top = [&](int x, int y) { return y * w + x; };
+  const auto bottom = [&](int x, int y) { return w * h + y * w + x; };
+  for (int y = 0; y + 1 < h; ++y)
+    for (int x = 0; x + 1 < w; ++x) {
+      quad(top(x, y), top(x + 1, y), top(x + 1, y + 1), top(x, y + 1));
+      quad(bottom(x, y), bottom(x, y + 1), bottom(x + 1, y + 1), bottom(x + 1, y));
+    }
+  for (int x = 0; x + 1 < w; ++x) {
+    quad(bottom(x, 0), bottom(x + 1, 0), top(x + 1, 0), top(x, 0));
+    quad(bottom(x + 1, h - 1), bottom(x, h - 1), top(x, h - 1), top(x + 1, h - 1));
+  }
+  for (int y = 0; y + 1 < h; ++y) {
+    quad(bottom(0, y + 1), bottom(0, y), top(0, y), top(0, y + 1));
+    quad(bottom(w - 1, y), bottom(w - 1, y + 1), top(w - 1, y + 1), top(w - 1, y));
+  }
+  view.mesh.faces.resize(static_cast<Eigen::Index>(faces.size()), 3);
+  for (std::size_t f = 0; f < faces.size(); ++f) view.mesh.faces.row(static_cast<Eigen::Index>(f)) = faces[f];
+  // Three components, each stretched over four standard deviations.
+  const std::vector<float>& appearance = textons.levels.front().appearance;
+  Vec3f deviation = Vec3f::Zero();
+  for (int t = 0; t < w * h; ++t)
+    for (int c = 0; c < 3; ++c)
+      deviation[c] += std::pow(appearance[static_cast<std::size_t>(t) * TextonSet::dimension + c], 2.0f);
+  deviation = (deviation / static_cast<float>(w * h)).cwiseSqrt().cwiseMax(1e-12f);
+  add_colors(
+      view,
+      [&](int v) {
+        const int texel = v % (w * h);
+        Vec3f color;
+        for (int c = 0; c < 3; ++c)
+          color[c] = v < w * h ? 128 + 64 * appearance[static_cast<std::size_t>(texel) * TextonSet::dimension + c] /
+                                           deviation[c]
+                               : static_cast<float>(255 * to_unit(hash64(textons.textons[texel], c)));
+        return color;
+      },
+      [&](int v) { return static_cast<float>(textons.textons[v % (w * h)]); });
+  return view;
+}
+
+AttributedMesh view_shell(const TexturedMesh& mesh, const ShellVolume& shell) {
+  AttributedMesh view;
+  view.mesh = mesh.mesh;
+  const auto material_below = [&](int v) {
+    const Vec3 normal = mesh.normals.row(v).transpose();
+    const Vec3 p = shell.frame.to_index(mesh.mesh.vertex(v)) - 0.75 * normal;
+    const Vec3i base = p.array().floor().cast<int>();
+    Material material = shell.core;
+    double best = 1e300;
+    for (int corner = 0; corner < 8; ++corner) {
+      const Vec3i at = base + Vec3i(corner & 1, corner >> 1 & 1, corner >> 2);
+      const double distance = (at.cast<double>() - p).squaredNorm();
+      if (distance >= best || !shell.extinction.is_active(at.x(), at.y(), at.z())) continue;
+      best = distance;
+      material = {shell.extinction.value(at.x(), at.y(), at.z()).array(),
+                  shell.albedo.value(at.x(), at.y(), at.z()).array(),
+                  shell.anisotropy.value(at.x(), at.y(), at.z()).array()};
+    }
+    return material;
+  };
+  add_colors(
+      view, [&](int v) { return Vec3f(display_color(diffuse_color(material_below(v), shell.ior)).matrix()); },
+      [&](int v) { return material_below(v).reduced_extinction()[1]; });
+  return view;
+}
+
+}  // namespace shellgrid

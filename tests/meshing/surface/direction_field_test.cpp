@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/surface/direction_field.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "meshing/core/error.h"
+#include "meshing/surface/surface_walk.h"
+#include "tests/synthesis/synthesis_shapes.h"
+
+namespace shellgrid {
+namespace {
+
+struct Field {
+  TriangleMesh mesh;
+  HalfEdges half_edges;
+  VertexMatrix normals, directions;
+  std::vector<int> indices;
+
+  explicit Field(const TriangleMesh& m, double spacing) : mesh(m) {
+    half_edges = build_half_edges(mesh);
+    normals = vertex_normals(mesh);
+    const VertexHierarchy hierarchy = build_vertex_hierarchy(mesh, half_edges, normals, spacing, 5, 3);
+    directions = make_direction_field(mesh, normals, hierarchy, Vec3(0.2, 1, 0.1));
+    indices = direction_field_indices(mesh, normals, directions);
+  }
+  int sum() const { return std::accumulate(indices.begin(), indices.end(), 0); }
+  int singularities() const {
+    return static_cast<int>(std::count_if(indices.begin(), indices.end(), [](int i) { return i != 0; }));
+  }
+};
+
+TEST(DirectionField, IndicesSumToTheEulerCharacteristic) {
+  EXPECT_EQ(Field(testing::sphere(10, 5), 0.4).sum(), 2);
+  EXPECT_EQ(Field(testing::torus(10, 4, 160, 64), 0.4).sum(), 0);
+}
+
+TEST(DirectionField, HasFewMoreSingularitiesThanTheShapeForces) {
+  EXPECT_EQ(Field(testing::sphere(10, 5), 0.4).singularities(), 2);
+  EXPECT_LE(Field(testing::torus(10, 4, 160, 64), 0.4).singularities(), 4);
+}
+
+TEST(DirectionField, IsUnitAndTangent) {
+  const Field field(testing::torus(10, 4, 120, 48), 0.5);
+  for (int v = 0; v < field.mesh.vertex_count(); ++v) {
+    EXPECT_NEAR(field.directions.row(v).norm(), 1, 1e-9);
+    EXPECT_NEAR(field.directions.row(v).dot(field.normals.row(v)), 0, 1e-9);
+  }
+}
+
+TEST(DirectionField, IsConstantOnAFlatPatch) {
+  const Field field(testing::patch(30, 0.4), 0.4);
+  const Vec3 expected = Vec3(0.2, 1, 0).normalized();
+  for (int v = 0; v < field.mesh.vertex_count(); ++v)
+    EXPECT_LT((field.directions.row(v).transpose() - expected).norm(), 1e-9);
+}
+
+TEST(HalfEdges, RefusesThreeFacesAtAnEdgeAndFlippedFaces) {
+  TriangleMesh fan;
+  fan.vertices.resize(5, 3);
+  fan.vertices << 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 1;
+  fan.faces.resize(3, 3);
+  fan.faces << 0, 1, 2, 1, 0, 3, 0, 1, 4;
+  EXPECT_THROW(build_half_edges(fan), InputError);
+  fan.faces.resize(2, 3);
+  fan.faces << 0, 1, 2, 0, 1, 3;
+  EXPECT_THROW(build_half_edges(fan), InputError);
+}
+
+TEST(SurfaceWalk, FollowsGreatCirclesOfASphere) {
+  const double radius = 10;
+  const TriangleMesh mesh = testing::sphere(radius, 6);
+  const HalfEdges half_edges = build_half_edges(mesh);
+  const VertexMatrix normals = vertex_normals(mesh);
+  for (int vertex : {0, 100, 777, 4000}) {
+    const Vec3 normal = mesh.vertex(vertex).normalized();
+    const Vec3 direction = normal.cross(Vec3(0.3, -0.7, 0.5)).normalized();
+    const SurfacePoint end =
+        walk_from_vertex(mesh, half_edges, vertex, normals.row(vertex).transpose(), direction, 0.5 * radius);
+    ASSERT_GE(end.face, 0);
+    const Vec3 expected = radius * (std::cos(0.5) * normal + std::sin(0.5) * direction);
+    EXPECT_LT((end.position - expected).norm(), 0.03 * radius);
+    EXPECT_GT(end.direction.dot(std::cos(0.5) * direction - std::sin(0.5) * normal), 0.998);
+  }
+}
+
+TEST(SurfaceWalk, IsExactOnAPlaneAndEndsAtItsBoundary) {
+  const TriangleMesh mesh = testing::patch(20, 0.5);
+  const HalfEdges half_edges = build_half_edges(mesh);
+  const int middle = 10 * 21 + 10;
+  for (int k = 0; k < 36; ++k) {
+    const double angle = k * std::numbers::pi / 18 + 0.01;
+    const Vec3 direction(std::cos(angle), std::sin(angle), 0);
+    const SurfacePoint end = walk_from_vertex(mesh, half_edges, middle, Vec3(0, 0, 1), direction, 3.3);
+    ASSERT_GE(end.face, 0);
+    EXPECT_LT((end.position - mesh.vertex(middle) - 3.3 * direction).norm(), 1e-9);
+    EXPECT_EQ(walk_from_vertex(mesh, half_edges, middle, Vec3(0, 0, 1), direction, 8).face, -1);
+  }
+}
+
+TEST(VertexHierarchy, LevelsAreNestedAndThinOutFourfold) {
+  const TriangleMesh mesh = testing::torus(10, 4, 200, 80);
+  const HalfEdges half_edges = build_half_edges(mesh);
+  const VertexMatrix normals = vertex_normals(mesh);
+  const double spacing = mean_edge_length(mesh) * 0.9;
+  const VertexHierarchy hierarchy = build_vertex_hierarchy(mesh, half_edges, normals, spacing, 4, 1);
+  ASSERT_EQ(hierarchy.levels.size(), 4u);
+  for (std::size_t l = 1; l < hierarchy.levels.size(); ++l) {
+    const auto &coarse = hierarchy.levels[l].vertices, &fine = hierarchy.levels[l - 1].vertices;
+    EXPECT_TRUE(std::includes(fine.begin(), fine.end(), coarse.begin(), coarse.end()));
+    const double ratio = static_cast<double>(fine.size()) / static_cast<double>(coarse.size());
+    EXPECT_GT(ratio, 2.5);
+    EXPECT_LT(ratio, 6.5);
+    for (std::int32_t v : coarse) EXPECT_EQ(hierarchy.levels[l].nearest[v], v);
+  }
+}
+
+}  // namespace
+}  // namespace shellgrid

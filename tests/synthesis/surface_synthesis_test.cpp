@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "synthesis/surface_synthesis.h"
+
+#include <gtest/gtest.h>
+#include <oneapi/tbb/global_control.h>
+
+#include <set>
+
+#include "meshing/core/error.h"
+#include "synthesis/synthesis_quality.h"
+#include "tests/synthesis/synthesis_shapes.h"
+
+namespace shellgrid {
+namespace {
+
+TextonSet marble_textons(int size) {
+  TextonOptions options;
+  options.texton_count = 40;
+  return make_textons(make_procedural_sample(testing::marble(size)), options);
+}
+
+TEST(TextonSet, CandidatesKeepTheirDistanceAndComeInOrder) {
+  TextonOptions options;
+  options.texton_count = 20;
+  const TextonSet set = make_textons(make_procedural_sample(testing::marble(32)), options);
+  ASSERT_EQ(set.levels.size(), 3u);
+  const auto distance = [&](std::size_t l, int a, int b) {
+    float sum = 0;
+    for (int d = 0; d < TextonSet::dimension; ++d) {
+      const float step = set.levels[l].appearance[a * 8 + d] - set.levels[l].appearance[b * 8 + d];
+      sum += step * step;
+    }
+    return sum;
+  };
+  const auto apart = [](int a, int b) {
+    int dx = std::abs(a % 32 - b % 32), dy = std::abs(a / 32 - b / 32);
+    dx = std::min(dx, 32 - dx), dy = std::min(dy, 32 - dy);
+    return dx * dx + dy * dy;
+  };
+  for (std::size_t l = 0; l < set.levels.size(); ++l)
+    for (int t = 0; t < set.texel_count(); ++t) {
+      const std::int32_t* candidates = &set.levels[l].candidates[static_cast<std::size_t>(t) * set.candidate_count];
+      for (int k = 0; k < set.candidate_count; ++k) {
+        ASSERT_GE(apart(t, candidates[k]), 25);
+        if (k > 0) {
+          ASSERT_LE(distance(l, t, candidates[k - 1]), distance(l, t, candidates[k]) * 1.0001f);
+          ASSERT_GE(apart(candidates[k - 1], candidates[k]), 25);
+        }
+      }
+    }
+  // At the finest level the first candidate is the best of all that are far enough, by exhaustion.
+  for (int t : {0, 77, 500}) {
+    float best = 1e30f;
+    for (int u = 0; u < set.texel_count(); ++u)
+      if (apart(t, u) >= 25) best = std::min(best, distance(0, t, u));
+    EXPECT_NEAR(distance(0, t, set.levels[0].candidates[static_cast<std::size_t>(t) * set.candidate_count]), best,
+                1e-5);
+  }
+}
+
+TEST(TextonSet, QuantisedAppearanceTakesAsManyValuesAsThereAreTextons) {
+  TextonOptions options;
+  options.texton_count = 12;
+  options.quantize = true;
+  const TextonSet set = make_textons(make_procedural_sample(testing::marble(32)), options);
+  std::set<std::vector<float>> values;
+  for (int t = 0; t < set.texel_count(); ++t)
+    values.insert({&set.levels[0].appearance[t * 8], &set.levels[0].appearance[t * 8] + 8});
+  EXPECT_EQ(values.size(), 12u);
+  EXPECT_EQ(set.texton_count, 12);
+}
+
+TEST(TextonSet, RefusesASampleWithoutRoomForCandidates) {
+  TextonOptions options;
+  options.candidate_count = 8;
+  EXPECT_THROW(make_textons(make_procedural_sample(testing::layers(4)), options), InputError);
+}
+
+TEST(SurfaceSynthesis, ShowsTheSampleFarBetterThanChance) {
+  const TextonSet textons = marble_textons(64);
+  const SurfaceTexture texture = synthesize_surface(testing::torus(8, 3, 125, 47), textons, {});
+  const SynthesisQuality quality = measure_synthesis(texture, textons);
+  EXPECT_LT(quality.tiling, quality.random / 3);
+  EXPECT_LT(quality.window_distance, quality.random / 3);
+  EXPECT_GT(quality.coherence, 0.6);
+  EXPECT_GT(quality.texel_entropy, 0.7);
+  for (const Vec2f& c : texture.coordinate) {
+    EXPECT_TRUE(c.x() >= 0 && c.x() < 64 && c.y() >= 0 && c.y() < 64) << c.transpose();
+  }
+}
+
+TEST(SurfaceSynthesis, ContinuesOnePatchOverAPlaneWhenThatIsPossible) {
+  // A grid whose vertices stand exactly a texel apart can copy the sample verbatim.
+  const TextonSet textons = marble_textons(64);
+  SynthesisOptions options;
+  options.final_passes = 8;
+  options.direction = Vec3(1, 0, 0);
+  const SurfaceTexture texture = synthesize_surface(testing::patch(48, 0.4), textons, options);
+  const SynthesisQuality quality = measure_synthesis(texture, textons);
+  EXPECT_LT(quality.window_distance, 0.15 * quality.random);
+  EXPECT_GT(quality.coherence, 0.85);
+}
+
+TEST(SurfaceSynthesis, AConstantSampleLooksTheSameEverywhere) {
+  SampleDefinition definition = testing::layers(32);
+  definition.pattern = LayersPattern{{{testing::marble_body(), 1}}, 0, 1};
+  TextonOptions options;
+  const TextonSet textons = make_textons(make_procedural_sample(definition), options);
+  EXPECT_EQ(textons.texton_count, 1);
+  const SurfaceTexture texture = synthesize_surface(testing::sphere(6, 5), textons, {});
+  const SynthesisQuality quality = measure_synthesis(texture, textons);
+  EXPECT_EQ(quality.window_distance, 0);
+}
+
+TEST(SurfaceSynthesis, SameAtAnyThreadCountAndAnotherForAnotherSeed) {
+  const TextonSet textons = marble_textons(32);
+  const TriangleMesh mesh = testing::torus(6, 2.4, 95, 38);
+  const auto run = [&](int threads, std::uint64_t seed) {
+    const oneapi::tbb::global_control limit(oneapi::tbb::global_control::max_allowed_parallelism, threads);
+    SynthesisOptions options;
+    options.seed = seed;
+    return synthesize_surface(mesh, textons, options).coordinate;
+  };
+  const std::vector<Vec2f> first = run(1, 5);
+  EXPECT_TRUE(first == run(3, 5));
+  EXPECT_FALSE(first == run(1, 6));
+}
+
+TEST(SurfaceSynthesis, RefusesAMeshTooCoarseForTheSample) {
+  EXPECT_THROW(synthesize_surface(testing::sphere(20, 3), marble_textons(32), {}), InputError);
+  EXPECT_THROW(synthesize_surface(TriangleMesh{VertexMatrix(0, 3), FaceMatrix(0, 3)}, marble_textons(32), {}),
+               InputError);
+}
+
+}  // namespace
+}  // namespace shellgrid
