@@ -49,8 +49,8 @@ double exposure_stops(const std::string& option, const Scene& scene, const Image
 }  // namespace
 
 int main(int argc, char** argv) {
-  StageProgram program("render",
-                       "Renders the picture: exit light, mirror light and surroundings, as EXR layers and PNG.");
+  StageProgram program("sg-render",
+                       "takes the picture: exit light, mirror light and surroundings, as EXR layers and PNG");
   std::string scene_path, surface_path, exposure = "scene", tone = "filmic";
   int samples = 0;
   RenderSettings settings;
