@@ -44,6 +44,7 @@ class Retiling {
       face_normals_[f] = cross_of(input.corner(f, 0), input.corner(f, 1), input.corner(f, 2)).normalized();
     load(input);
     find_features();
+    find_tips();
     VertexMatrix points(static_cast<Eigen::Index>(options.refine_at.size()), 3);
     for (std::size_t i = 0; i < options.refine_at.size(); ++i)
       points.row(static_cast<Eigen::Index>(i)) = options.refine_at[i].transpose();
@@ -203,6 +204,23 @@ class Retiling {
       if (corner) mesh_.status(handle).set_locked(true);
     }
     if (!kept.empty()) features_ = ClosestPointQuery(segments);
+  }
+
+  // Keeps tips: vertices where the angles of long faces fall short of a full turn by 0.3 or more.
+  void find_tips() {
+    for (std::size_t i = 0; i < mesh_.n_vertices(); ++i) {
+      const VertexHandle v(static_cast<int>(i));
+      double angle = 0, length = 0;
+      int count = 0;
+      for (const HalfedgeHandle out : mesh_.voh_range(v)) {
+        const Vec3 p = position(mesh_.to_vertex_handle(out)) - position(v);
+        const Vec3 q = position(mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out))) - position(v);
+        angle += std::atan2(p.cross(q).norm(), p.dot(q));
+        length += p.norm();
+        ++count;
+      }
+      if (2 * std::numbers::pi - angle > 0.3 && length > 3 * options_.spacing * count) mesh_.status(v).set_locked(true);
+    }
   }
 
   void split(EdgeHandle e) {
