@@ -399,9 +399,8 @@ TriangleMesh extract_isosurface(const TwoLevelGrid<float>& grid, const GridFrame
     mesh.vertices.row(static_cast<Eigen::Index>(i)) << points[i].x(), points[i].y(), points[i].z();
   mesh.faces.resize(static_cast<Eigen::Index>(triangles.size() + 2 * quads.size()), 3);
   Eigen::Index f = 0;
-  // OpenVDB's polygons are clockwise seen from the side of greater values.
   const auto add = [&](openvdb::Index32 a, openvdb::Index32 b, openvdb::Index32 c) {
-    mesh.faces.row(f++) << static_cast<int>(a), static_cast<int>(c), static_cast<int>(b);
+    mesh.faces.row(f++) << static_cast<int>(a), static_cast<int>(b), static_cast<int>(c);
   };
   for (const openvdb::Vec3I& t : triangles) add(t[0], t[1], t[2]);
   for (const openvdb::Vec4I& q : quads) add(q[0], q[1], q[2]), add(q[0], q[2], q[3]);
