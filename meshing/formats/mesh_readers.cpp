@@ -243,16 +243,18 @@ AttributedMesh parse_ascii_stl(const std::string& path, std::string_view bytes) 
       fail(path,
            fmt::format("line {}: expected '{}', found '{}'", scanner.line_number(), expected, word.substr(0, 40)));
   };
-  scanner.next_line();  // solid NAME
+  scanner.next_line();
+  scanner.skip_line();  // solid NAME
   for (;;) {
     const std::string_view word = scanner.next_word_anywhere();
     if (word == "endsolid") {
-      scanner.next_line();
+      scanner.skip_line();
       // A file may hold several solids.
-      while (scanner.next_content_line('#'))
-        if (scanner.next_word() == "solid") break;
-      if (scanner.bytes_left() == 0) break;
-      scanner.next_line();
+      const std::string_view next = scanner.next_word_anywhere();
+      if (next.empty()) break;
+      if (next != "solid")
+        fail(path, fmt::format("line {}: expected 'solid', found '{}'", scanner.line_number(), next.substr(0, 40)));
+      scanner.skip_line();
       continue;
     }
     if (word.empty()) fail(path, "truncated: 'endsolid' is missing");

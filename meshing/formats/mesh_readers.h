@@ -46,6 +46,7 @@ class TextScanner {
   bool next_line();
   // Skips empty lines and what follows `comment`.
   bool next_content_line(char comment);
+  void skip_line() { line_ = {}; }
   // The next word of the line; empty at its end.
   std::string_view next_word();
   // The next word of the text on whatever line; empty at the end of the text.

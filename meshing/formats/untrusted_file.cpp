@@ -14,6 +14,8 @@
 #include <cerrno>
 #include <chrono>
 #include <cstring>
+#include <fstream>
+#include <memory>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/output_file.h"
@@ -27,6 +29,13 @@ constexpr bool sanitized =
 #else
     false;
 #endif
+
+// Bytes of addresses that this process has mapped.
+rlim_t address_space() {
+  rlim_t pages = 0;
+  std::ifstream("/proc/self/statm") >> pages;
+  return pages * static_cast<rlim_t>(::sysconf(_SC_PAGESIZE));
+}
 
 void limit(int resource, rlim_t amount) {
   rlimit bound{amount, amount};
@@ -62,8 +71,12 @@ void limit(int resource, rlim_t amount) {
 
 }  // namespace
 
-std::string seal_of(std::string_view bytes) {
-  const XXH128_hash_t hash = XXH3_128bits(bytes.data(), bytes.size());
+std::string seal_of(std::string_view bytes, std::string_view more_bytes) {
+  const std::unique_ptr<XXH3_state_t, XXH_errorcode (*)(XXH3_state_t*)> state(XXH3_createState(), XXH3_freeState);
+  XXH3_128bits_reset(state.get());
+  XXH3_128bits_update(state.get(), bytes.data(), bytes.size());
+  if (!more_bytes.empty()) XXH3_128bits_update(state.get(), more_bytes.data(), more_bytes.size());
+  const XXH128_hash_t hash = XXH3_128bits_digest(state.get());
   return fmt::format("{:016x}{:016x}", hash.high64, hash.low64);
 }
 
@@ -77,9 +90,9 @@ std::string one_line(std::string message) {
 
 void rehearse_reading(const std::string& path, const std::string& kind, const std::function<void()>& read) {
   const std::uint64_t bytes = file_size(path);
-  // Generous: compressed grids rarely grow more than fortyfold.
-  const rlim_t memory = (rlim_t{4} << 30) + 40 * bytes;
-  const int seconds = 20 + static_cast<int>(bytes / 10'000'000);
+  // On top of what this process has: compressed grids rarely grow more than sixtyfold.
+  const rlim_t memory = address_space() + (rlim_t{512} << 20) + 64 * bytes;
+  const int seconds = 4 + static_cast<int>(bytes / 20'000'000);
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC) != 0) throw InternalError(fmt::format("pipe: {}", std::strerror(errno)));
   const pid_t child = ::fork();
@@ -90,7 +103,7 @@ void rehearse_reading(const std::string& path, const std::string& kind, const st
   if (child == 0) rehearse(ends[1], memory, static_cast<rlim_t>(seconds), read);
   ::close(ends[1]);
   std::string verdict;
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(2 * seconds);
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20 * seconds);
   for (;;) {
     const auto left =
         std::chrono::duration_cast<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();

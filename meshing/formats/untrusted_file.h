@@ -8,8 +8,8 @@
 
 namespace shellgrid {
 
-// XXH3 of the bytes with 128 bits, as 32 hexadecimal digits.
-std::string seal_of(std::string_view bytes);
+// XXH3 of the bytes of both parts with 128 bits, as 32 hexadecimal digits.
+std::string seal_of(std::string_view bytes, std::string_view more_bytes = {});
 
 // A library's message on one line.
 std::string one_line(std::string message);

@@ -9,9 +9,12 @@
 #include <openvdb/openvdb.h>
 #include <openvdb/tools/SignedFloodFill.h>
 #include <openvdb/tools/VolumeToMesh.h>
+#include <openvdb/util/logging.h>
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <limits>
 #include <sstream>
 #include <type_traits>
@@ -28,6 +31,9 @@ constexpr std::size_t id_at = 8 + 4 + 8 + 1;
 constexpr std::size_t id_size = 36;
 // Of the dense top array, in leaves.
 constexpr double most_top_cells = double{1 << 28};
+
+// Grid metadata: "voxel x y z".
+constexpr const char* frame_note = "shellgrid_frame";
 
 template <class T>
 struct VdbGridOf;
@@ -74,13 +80,14 @@ class StreamArchive : public openvdb::io::Archive {
 void initialize_library() {
   static const bool once = [] {
     openvdb::initialize();
+    openvdb::logging::setLevel(openvdb::logging::Level::Fatal);
     return true;
   }();
   (void)once;
 }
 
 std::string id_of_content(const std::string& bytes) {
-  std::string id = seal_of(std::string_view(bytes).substr(id_at + id_size));
+  std::string id = seal_of(std::string_view(bytes).substr(0, id_at), std::string_view(bytes).substr(id_at + id_size));
   for (std::size_t at : {8, 13, 18, 23}) id.insert(at, "-");
   return id;
 }
@@ -103,7 +110,7 @@ GridFrame frame_of(const std::string& path, const openvdb::GridBase& grid) {
   if (!grid.transform().isLinear()) fail();
   const openvdb::Mat4R matrix = grid.transform().baseMap()->getAffineMap()->getMat4();
   GridFrame frame;
-  frame.voxel = matrix(0, 0);
+  frame.voxel = grid.voxelSize().x();
   if (!(frame.voxel > 0) || !std::isfinite(frame.voxel)) fail();
   for (int row = 0; row < 3; ++row) {
     for (int column = 0; column < 3; ++column) {
@@ -112,6 +119,15 @@ GridFrame frame_of(const std::string& path, const openvdb::GridBase& grid) {
     }
     frame.origin[row] = matrix(3, row);
     if (!std::isfinite(frame.origin[row])) fail();
+  }
+  // OpenVDB rounds the transform when it writes: our own note of the frame is exact.
+  const auto note = grid.getMetadata<openvdb::StringMetadata>(frame_note);
+  GridFrame exact;
+  if (note && std::sscanf(note->value().c_str(), "%lf %lf %lf %lf", &exact.voxel, &exact.origin[0], &exact.origin[1],
+                          &exact.origin[2]) == 4) {
+    const double tolerance = 1e-9 * (frame.voxel + frame.origin.norm());
+    if (std::abs(exact.voxel - frame.voxel) <= tolerance && (exact.origin - frame.origin).norm() <= tolerance)
+      return exact;
   }
   return frame;
 }
@@ -122,6 +138,8 @@ typename VdbGridOf<T>::Type::Ptr to_vdb_grid(const TwoLevelGrid<T>& grid, const 
   using Leaf = typename Grid::TreeType::LeafNodeType;
   auto result = Grid::create(to_vdb(grid.background()));
   result->setTransform(transform_of(frame));
+  result->insertMeta(frame_note, openvdb::StringMetadata(fmt::format("{} {} {} {}", frame.voxel, frame.origin.x(),
+                                                                     frame.origin.y(), frame.origin.z())));
   for (int leaf_index = 0; leaf_index < grid.leaf_count(); ++leaf_index) {
     const Vec3i base = grid.leaf_coordinate(leaf_index) * TwoLevelGrid<T>::leaf_edge;
     auto* leaf = new Leaf(openvdb::Coord(base.x(), base.y(), base.z()), to_vdb(grid.background()), false);

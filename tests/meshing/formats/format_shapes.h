@@ -20,7 +20,11 @@ namespace shellgrid {
 class TemporaryFolder {
  public:
   TemporaryFolder() {
-    std::string pattern = (std::filesystem::temp_directory_path() / "shellgrid-XXXXXX").string();
+    // In memory where the system has it: thousands of damaged files are written.
+    const std::filesystem::path memory = "/dev/shm";
+    std::string pattern =
+        ((::access(memory.c_str(), W_OK) == 0 ? memory : std::filesystem::temp_directory_path()) / "shellgrid-XXXXXX")
+            .string();
     path_ = ::mkdtemp(pattern.data());
   }
   ~TemporaryFolder() {

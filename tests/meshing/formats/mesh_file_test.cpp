@@ -196,7 +196,7 @@ TEST(MeshFile, RefusesBadFilesWithOneLineThatSaysWhatIsWrong) {
       {"corners.ply", header + "0 0 0\n1 0 0\n0 1 0\n2 0 1\n", "face 0 has 2 corners"},
       {"word.ply", header + "0 0 0\n1 x 0\n0 1 0\n3 0 1 2\n", "'x' is not a number"},
       {"short.ply", header + "0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "truncated"},
-      {"header.ply", header.substr(0, 60), "truncated"},
+      {"header.ply", header.substr(0, 54), "truncated"},
       {"foreign.ply", "hello\n", "not a PLY file"},
       {"foreign.off", "ply\n", "not an OFF file"},
       {"type.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty quad x\nend_header\n", "unknown type 'quad'"},
