@@ -3,15 +3,26 @@
 #   make demo        the marble bunny, from nothing to a picture
 #   make test        every test
 #   make bench       run time against error, drawn
-#   make SCENE=path [OUT=dir] [image.png or any artefact of the scene]
+#   make SCENE=path [OUT=dir] [image.png or any artefact of the scene; views; report]
+#   make docs        the README's tables of options and scene keys, from the programs' own help
 SHELL := /bin/bash
 BUILD ?= build
 JOBS ?= 2
 SCENE ?= assets/scenes/marble-bunny.json
-OUT ?= out/$(basename $(notdir $(SCENE)))
+OUT ?=
+FLAGS ?=
+
+# Names of scenes and folders are data: they go to the shell in the environment, and Make never expands them.
+override SCENE := $(value SCENE)
+override OUT := $(value OUT)
+MAKEOVERRIDES :=
+export SCENE OUT
 
 .DEFAULT_GOAL := image.png
-.PHONY: setup configure build test demo bench format check-format sanitize accuracy stress report clean FORCE
+ARTEFACTS := all views report image.png image.exr exitance.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
+  synthesized.ply textons.vdb sample.vdb distance.vdb surface.ply \
+  polygrid.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
+.PHONY: setup configure build test demo bench docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:
 	@bash .ci/install-packages
@@ -24,6 +35,41 @@ build: configure
 
 test: build
 	@ctest --preset release
+
+# Meshes of Debian's libcgal-demo, by their names there.
+meshes := /usr/share/doc/libcgal-dev/data.tar.gz
+assets/meshes/%.off: | setup
+	@mkdir -p $(@D)
+	@tar -xzOf $(meshes) data/meshes/$*.off > $@.partial
+	@mv $@.partial $@
+
+# The artefacts of SCENE lie in OUT, or out/NAME for a scene NAME.json.
+find_out = name=$${SCENE\#\#*/}; out=$${OUT:-out/$${name%.*}}
+
+$(ARTEFACTS): build assets/meshes/bunny00.off
+	@$(find_out); $(BUILD)/bin/sg-plan -q -o "$$out" -- "$$SCENE" && \
+	  $(MAKE) --no-print-directory -C "$$out" $@ FLAGS='$(FLAGS)'
+
+demo: override SCENE := assets/scenes/marble-bunny.json
+demo: build assets/meshes/bunny00.off
+	@$(find_out); started=$$(date +%s.%N); $(BUILD)/bin/sg-plan -q -o "$$out" -- "$$SCENE" && \
+	  $(MAKE) --no-print-directory -C "$$out" all report FLAGS='$(FLAGS)' && \
+	  printf '\n%-9s %s\n' picture "$$out/image.png" report "$$out/report.html" && \
+	  for view in "$$out"/*.ply; do printf '%-9s %s\n' view "$$view"; done && \
+	  printf '%-9s %s\n' records "$$out/*.json" && \
+	  awk -v from=$$started -v to=$$(date +%s.%N) 'BEGIN {printf "%-9s %.1f s\n", "time", to - from}'
+
+bench: build
+	@mkdir -p out/bench
+	@for program in $(BUILD)/bin/*_benchmark; do \
+	  [ -x "$$program" ] || continue; name=$$(basename "$$program" _benchmark); echo "$$name"; \
+	  "$$program" > "out/bench/$$name.csv" && cat "out/bench/$$name.csv"; \
+	  plot="tests/benchmarks/$$name.gnuplot"; \
+	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot"; fi; \
+	done
+
+docs: build
+	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B pipeline/readme_tables.py README.md
 
 format:
 	@git ls-files '*.h' '*.cpp' | xargs clang-format -i
