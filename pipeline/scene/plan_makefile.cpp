@@ -49,7 +49,7 @@ std::string plan_makefile(const Plan& plan, const std::map<std::string, std::str
   text += "# A changed scene makes another plan, which Make then reads again.\n";
   text += "Makefile: .done/plan ;\n";
   text += ".done/plan:\n\t@$(programs)/sg-plan --again -q -o .\n\t@touch Makefile\n\n";
-  text += ".DELETE_ON_ERROR:\n";
+  text += ".DEFAULT_GOAL := all\n.DELETE_ON_ERROR:\n";
   text += ".SUFFIXES:\n";
   text += ".PHONY: all views report\n\n";
   std::vector<std::string> views;

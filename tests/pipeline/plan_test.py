@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""Which stages run again after which change. Real sg-plan and Make; the stages are stand-ins that note that they ran and
+write a digest of all they were given, so that each of these many runs takes a moment. skip_test.py does it for real."""
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import unittest
+
+from programs import BIN, run, scene, workplace
+
+STAND_IN = """#!/usr/bin/python3
+import hashlib, json, os, sys, time
+name = os.path.basename(sys.argv[0])
+words, files, outputs, options = sys.argv[1:], [], [], []
+while words:
+    word = words.pop(0)
+    if word in ("-o", "--exitance"):
+        outputs.append(words.pop(0))
+    elif word.startswith("-"):
+        options.append(word)
+        if word not in ("-q", "--close-holes"):
+            options.append(words.pop(0))
+    else:
+        files.append(word)
+open(os.environ["RAN"], "a").write(name[3:] + "\\n")
+if os.environ.get("FAIL") == name:
+    sys.exit(4)
+digest = hashlib.sha1(repr(options).encode())
+for path in files:
+    data = open(path, "rb").read()
+    digest.update(data.replace(b"same to prepare", b"") if name == "sg-prepare" else data)
+if name == "sg-render":
+    outputs.append("image.png")
+views = [o.replace(".vdb", ".view.ply").replace(".hdf", ".view.ply") for o in outputs
+         if o.endswith(".vdb") or o == "polygrid.hdf"]
+if os.environ.get("SLEEP") == name:
+    open(outputs[0], "w").write("half")
+    open(os.environ["RAN"] + ".asleep", "w").close()
+    time.sleep(60)
+for output in outputs + views:
+    open(output, "w").write(output + digest.hexdigest())
+json.dump({"outputs": [{"path": o} for o in outputs + views]}, open(outputs[0] + ".json", "w"))
+"""
+STAGES = ["prepare", "distance", "sample", "textons", "synthesize", "shell", "tetrahedralize", "polycube", "polygrid",
+          "diffuse", "render"]
+SHELL = {"shell": {"sample": "marble.json", "thickness": 2, "voxel": 0.5}, "core": "bottom-layer"}
+
+
+class PlanTest(unittest.TestCase):
+    def setUp(self):
+        place = workplace()
+        self.addCleanup(place.cleanup)
+        self.root = place.name
+        self.bin = os.path.join(self.root, "bin")
+        os.mkdir(self.bin)
+        shutil.copy(os.path.join(BIN, "sg-plan"), self.bin)
+        for stage in STAGES:
+            self.write_program(stage)
+        self.scenes = os.path.join(self.root, "scenes")
+        os.mkdir(self.scenes)
+        self.out = os.path.join(self.root, "out")
+        self.put("ball.off", "a mesh")
+        self.put("marble.json", "a sample")
+        self.content = scene("ball.off", material=dict(SHELL))
+        self.put_scene()
+
+    def write_program(self, stage, text=STAND_IN):
+        path = os.path.join(self.bin, "sg-" + stage)
+        with open(path, "w") as file:
+            file.write(text)
+        os.chmod(path, 0o755)
+
+    def put(self, name, text):
+        with open(os.path.join(self.scenes, name), "w") as file:
+            file.write(text)
+
+    def put_scene(self):
+        self.put("scene.json", json.dumps(self.content, indent=1))
+
+    def plan(self, *options, name="scene.json"):
+        return subprocess.run([os.path.join(self.bin, "sg-plan"), "-o", self.out, *options, "--",
+                               os.path.join(self.scenes, name)], capture_output=True, text=True, cwd=self.root)
+
+    def make(self, *targets, expect=0, **env):
+        """Runs Make and returns the stages that ran."""
+        log = os.path.join(self.root, "ran")
+        if os.path.exists(log):
+            os.remove(log)
+        done = subprocess.run(["make", "-C", self.out, *targets], capture_output=True, text=True,
+                              env={**os.environ, "RAN": log, "MAKEFLAGS": "", **env})
+        self.assertEqual(done.returncode, expect, done.stdout + done.stderr)
+        return sorted(self.ran(), key=STAGES.index)
+
+    def remake(self, *targets):
+        planned = self.plan()
+        self.assertEqual(planned.returncode, 0, planned.stderr)
+        return self.make(*targets)
+
+    def artefact(self, name):
+        return os.path.join(self.out, name)
+
+    def text(self, name):
+        with open(self.artefact(name)) as file:
+            return file.read()
+
+    def test_a_heterogeneous_shell_needs_every_stage(self):
+        self.assertEqual(self.remake(), STAGES)
+        self.assertTrue(os.path.exists(self.artefact("image.png")))
+
+    def test_nothing_changed_runs_nothing(self):
+        self.remake()
+        self.assertEqual(self.make(), [])
+        self.assertEqual(self.remake(), [])
+        self.assertEqual(self.remake("all", "views"), [])
+
+    def test_a_homogeneous_object_needs_no_shell(self):
+        self.content["material"] = {"core": {"named": "skin1"}}
+        self.put_scene()
+        why = self.plan("--why").stdout
+        self.assertRegex(why, r"synthesize +left out +the material is the same everywhere")
+        self.assertEqual(self.make(), ["prepare", "tetrahedralize", "polycube", "polygrid", "diffuse", "render"])
+        makefile = self.text("Makefile")
+        for stage in ["distance", "sample", "textons", "synthesize", "shell"]:
+            self.assertRegex(makefile, "# %s is left out, because " % stage)
+
+    def test_an_opaque_object_needs_no_diffusion(self):
+        self.content["material"] = {"opaque": {"reflectance": 0.7}}
+        self.put_scene()
+        self.assertRegex(self.plan("--why").stdout, r"diffuse +left out +the material is opaque")
+        self.assertEqual(self.make(), ["prepare", "render"])
+
+    def test_each_change_runs_what_depends_on_it(self):
+        self.remake()
+        self.content["camera"]["fov"] = 25
+        self.put_scene()
+        self.assertEqual(self.remake(), ["render"])
+        self.content["method"]["samples_per_pixel"] = 4
+        self.put_scene()
+        self.assertEqual(self.remake(), ["render"])
+        self.content["lights"][0]["irradiance"] = [2, 1, 1]
+        self.put_scene()
+        self.assertEqual(self.remake(), ["diffuse", "render"])
+        self.content["method"]["tolerance"] = 0.02
+        self.put_scene()
+        self.assertEqual(self.remake(), ["diffuse", "render"])
+        self.put("marble.json", "another sample")
+        self.assertEqual(self.remake(), ["sample", "textons", "synthesize", "shell", "diffuse", "render"])
+        self.content["method"]["nodes"] = 5000
+        self.put_scene()
+        self.assertEqual(self.remake(), ["polycube", "polygrid", "diffuse", "render"])
+        self.put("ball.off", "another mesh")
+        self.assertEqual(self.remake(), [s for s in STAGES if s not in ("sample", "textons")])
+
+    def test_a_scene_written_otherwise_with_the_same_content_runs_nothing(self):
+        self.remake()
+        self.put("scene.json", "// a comment\n" + json.dumps(dict(reversed(list(self.content.items())))))
+        self.assertEqual(self.remake(), [])
+
+    def test_make_alone_notices_a_changed_scene_mesh_or_sample(self):
+        self.remake()
+        self.content["camera"]["fov"] = 26
+        self.put_scene()
+        self.assertEqual(self.make(), ["render"])
+        self.put("marble.json", "yet another sample")
+        self.assertEqual(self.make(), ["sample", "textons", "synthesize", "shell", "diffuse", "render"])
+        self.assertEqual(self.make(), [])
+        self.content["material"] = {"opaque": {}}
+        self.put_scene()
+        self.assertEqual(self.make(), ["prepare", "render"])
+
+    def test_new_times_on_old_bytes_run_nothing(self):
+        self.remake()
+        for folder in (self.scenes, self.out, self.bin):
+            for name in os.listdir(folder):
+                os.utime(os.path.join(folder, name))
+        self.assertEqual(self.remake("all", "views"), [])
+        past = time.time() - 1e6
+        for name in os.listdir(self.out):
+            os.utime(self.artefact(name), (past, past))
+        self.assertEqual(self.remake("all", "views"), [])
+        self.put("ball.off", "a mesh")
+        self.put_scene()
+        self.assertEqual(self.remake(), [])
+
+    def test_a_stage_that_makes_the_same_again_is_the_last_one(self):
+        self.remake()
+        self.put("ball.off", "a mesh" + "same to prepare")
+        self.assertEqual(self.remake(), ["prepare"])
+        self.assertEqual(self.remake(), [])
+        self.write_program("distance", STAND_IN + "# another program\n")
+        self.assertEqual(self.remake(), ["distance"])
+        self.assertEqual(self.make("-n"), [])
+        dry = subprocess.run(["make", "-n", "-C", self.out], capture_output=True, text=True).stdout
+        self.assertNotIn("sg-shell", dry)
+
+    def test_a_deleted_or_edited_artefact_is_made_again_and_nothing_after_it(self):
+        self.remake()
+        for name, stage in [("shell.vdb", "shell"), ("shell.view.ply", "shell"), ("exitance.ply", "diffuse"),
+                            ("image.png", "render"), ("surface.ply", "prepare")]:
+            os.remove(self.artefact(name))
+            self.assertEqual(self.remake(), [stage], name)
+            self.assertTrue(os.path.exists(self.artefact(name)), name)
+        with open(self.artefact("surface.ply"), "a") as file:
+            file.write("edited")
+        self.assertEqual(self.remake(), ["prepare"])
+        self.assertNotIn("edited", self.text("surface.ply"))
+
+    def test_a_target_makes_only_what_it_needs(self):
+        self.assertEqual(self.remake("distance.vdb"), ["prepare", "distance"])
+        self.assertEqual(self.remake("sample.view.ply"), ["sample"])
+
+    def test_jobs_side_by_side_make_the_same(self):
+        self.plan()
+        self.assertEqual(self.make("-j4"), STAGES)
+        self.assertEqual(self.make("-j4"), [])
+
+    def test_a_failed_stage_fails_the_run_and_is_not_trusted(self):
+        self.plan()
+        ran = self.make(expect=2, FAIL="sg-shell")
+        self.assertIn("shell", ran)
+        self.assertNotIn("diffuse", ran)
+        self.assertFalse(os.path.exists(self.artefact("image.png")))
+        again = self.make()
+        self.assertIn("shell", again)
+        self.assertNotIn("prepare", again)
+
+    def ran(self):
+        log = os.path.join(self.root, "ran")
+        if not os.path.exists(log):
+            return []
+        with open(log) as file:
+            return file.read().split()
+
+    def test_a_killed_stage_is_not_trusted(self):
+        for stage in STAGES:
+            with self.subTest(stage):
+                shutil.rmtree(self.out, ignore_errors=True)
+                self.plan()
+                log = os.path.join(self.root, "ran")
+                for stale in (log, log + ".asleep"):
+                    if os.path.exists(stale):
+                        os.remove(stale)
+                make = subprocess.Popen(["make", "-C", self.out], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                                        env={**os.environ, "RAN": log, "SLEEP": "sg-" + stage, "MAKEFLAGS": ""},
+                                        start_new_session=True)
+                deadline = time.time() + 60
+                while not os.path.exists(log + ".asleep") and time.time() < deadline:
+                    time.sleep(0.01)
+                os.killpg(make.pid, signal.SIGKILL)
+                make.wait()
+                before = self.ran()
+                self.assertEqual(before[-1], stage)
+                self.assertEqual(self.make(), [s for s in STAGES if s not in before[:-1]])
+                self.assertEqual(self.make(), [])
+
+    def test_names_are_data(self):
+        names = ["$(shell touch x)", "a b", "#", "..", "it's", '"q"', "`touch x`", "$$x", "new\nline", "-x", "%", "\\n",
+                 "a:b", "~", "*", "ünï", "b;touch x", "&", "$(MAKE)"]
+        for name in names:
+            with self.subTest(name):
+                mesh = name + ".ply"
+                self.put(mesh, "a mesh")
+                self.content["object"]["mesh"] = mesh
+                self.put(name + ".json", json.dumps(self.content))
+                self.out = os.path.join(self.root, "out", name + " out" if name != ".." else "dots")
+                os.makedirs(os.path.join(self.root, "out"), exist_ok=True)
+                planned = self.plan(name=name + ".json")
+                self.assertEqual(planned.returncode, 0, planned.stderr)
+                self.assertEqual(self.make("surface.ply"), ["prepare"])
+                self.assertEqual(self.make("surface.ply"), [])
+                for folder, _, files in os.walk(self.root):
+                    self.assertNotIn("x", files, folder)
+
+    def test_a_mesh_outside_by_dots_is_found(self):
+        with open(os.path.join(self.root, "far.ply"), "w") as file:
+            file.write("a mesh")
+        self.content["object"]["mesh"] = "../far.ply"
+        self.put_scene()
+        self.assertEqual(self.remake("surface.ply"), ["prepare"])
+
+    def test_why_prints_each_stage_and_its_state(self):
+        self.plan()
+        self.assertRegex(self.plan("--why").stdout, r"prepare +run .*\(to be made: not made yet\)")
+        self.make()
+        self.content["camera"]["fov"] = 31
+        self.put_scene()
+        why = self.plan("--why").stdout
+        self.assertRegex(why, r"diffuse +run .*\(up to date\)")
+        self.assertRegex(why, r"render +run .*\(to be made: the scene changed\)")
+        lines = [line.split()[0] for line in why.splitlines()[1:]]
+        self.assertEqual(lines, STAGES)
+        bare = subprocess.run([os.path.join(self.bin, "sg-plan"), os.path.join(self.scenes, "scene.json"), "--why"],
+                              capture_output=True, text=True)
+        self.assertEqual(bare.returncode, 0)
+
+    def test_a_scene_without_what_a_picture_needs_is_refused(self):
+        for missing in ("object", "material", "lights", "camera"):
+            with self.subTest(missing):
+                changed = {key: value for key, value in self.content.items() if key != missing}
+                self.put("part.json", json.dumps(changed))
+                planned = self.plan(name="part.json")
+                self.assertEqual(planned.returncode, 3)
+                self.assertIn(missing + ": is missing", planned.stderr)
+                self.assertEqual(planned.stderr.count("\n"), 1)
+
+
+if __name__ == "__main__":
+    unittest.main()
