@@ -74,38 +74,65 @@ class DistanceSampling {
     samples.visited = 0;
     samples.any = false;
     const Vec3i base = leaf * leaf_edge;
-    bool inside[leaf_edge];
-    double previous = std::numeric_limits<double>::infinity();  // distance of the sample before, one interval away
     for (int x = 0; x < leaf_edge; ++x)
-      for (int row = 0; row < leaf_edge; ++row) {
-        const int y = x % 2 == 0 ? row : leaf_edge - 1 - row;
+      for (int y = 0; y < leaf_edge; ++y) {
+        bool inside[leaf_edge];
         columns_.inside(base.x() + x, base.y() + y, base.z(), leaf_edge, inside);
-        for (int step = 0; step < leaf_edge; ++step) {
-          const int z = row % 2 == 0 ? step : leaf_edge - 1 - step;
+        for (int z = 0; z < leaf_edge; ++z) {
           const int offset = TwoLevelGrid<float>::offset_of(x, y, z);
-          const double band = inside[z] ? options_.inside_band : options_.outside_band;
           samples.distance[offset] = static_cast<float>(inside[z] ? -options_.inside_band : options_.outside_band);
           samples.nearest_vertex[offset] = -1;
           samples.nearest_point[offset] = Vec3f::Zero();
-          // The distance changes by no more than the step.
-          const double bound = std::min(band, (previous + frame_.voxel) * (1 + 1e-9));
-          const SurfacePoint found = surface_.nearest(frame_.to_world(base + Vec3i(x, y, z)), bound);
+        }
+      }
+    for (int part = 0; part < 8; ++part)
+      sample_part(base, Vec3i(part >> 2, part >> 1 & 1, part & 1) * part_edge, samples);
+  }
+
+ private:
+  static constexpr int part_edge = 4;  // half a leaf
+
+  // Samples the 4³ points from `base + corner` on.
+  void sample_part(const Vec3i& base, const Vec3i& corner, LeafSamples& samples) const {
+    const Vec3i middle = base + corner + Vec3i::Constant(part_edge / 2);
+    const double radius = std::sqrt(3.0) * (part_edge / 2) * frame_.voxel * (1 + 1e-9);
+    const double reach = std::max(options_.inside_band, options_.outside_band) + radius;
+    const SurfacePoint nearest_to_middle = surface_.nearest(frame_.to_world(middle), reach);
+    ++samples.visited;
+    if (nearest_to_middle.face_index < 0) return;
+    const double middle_distance = std::sqrt(nearest_to_middle.squared_distance);
+    double previous = std::numeric_limits<double>::infinity();  // distance of the sample before, one interval away
+    for (int x = 0; x < part_edge; ++x)
+      for (int row = 0; row < part_edge; ++row)
+        for (int step = 0; step < part_edge; ++step) {
+          const int y = x % 2 == 0 ? row : part_edge - 1 - row;
+          const int z = (x * part_edge + row) % 2 == 0 ? step : part_edge - 1 - step;
+          const Vec3i at = corner + Vec3i(x, y, z);
+          const int offset = TwoLevelGrid<float>::offset_of(at.x(), at.y(), at.z());
+          const bool inside = samples.distance[offset] < 0;
+          const double band = inside ? options_.inside_band : options_.outside_band;
+          // From point to point the distance changes by no more than the step.
+          const double from_middle = (base + at - middle).cast<double>().norm() * frame_.voxel;
+          if (middle_distance - from_middle > band * (1 + 1e-9)) {
+            previous = std::numeric_limits<double>::infinity();
+            continue;
+          }
+          const double bound = std::min(middle_distance + from_middle, previous + frame_.voxel) * (1 + 1e-9);
+          const SurfacePoint found = surface_.nearest(frame_.to_world(base + at), std::min(band, bound));
           ++samples.visited;
           if (found.face_index < 0) {
             previous = std::numeric_limits<double>::infinity();
             continue;
           }
           previous = std::sqrt(found.squared_distance);
-          samples.distance[offset] = static_cast<float>(inside[z] ? -previous : previous);
+          samples.distance[offset] = static_cast<float>(inside ? -previous : previous);
           samples.nearest_point[offset] = found.point.cast<float>();
           samples.nearest_vertex[offset] = nearest_vertex(found);
           TwoLevelGrid<float>::mask_set(samples.active, offset);
           samples.any = true;
         }
-      }
   }
 
- private:
   // Marks the faces for whose every point the nearest vertex is one of the three corners: no other vertex lies within
   // √2 circumradii of the circumcentre. (A point q of the face is nearer than √(R² − |q − m|²) to a corner.)
   void find_plain_faces() {

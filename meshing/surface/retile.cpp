@@ -44,6 +44,7 @@ class Retiling {
       face_normals_[f] = cross_of(input.corner(f, 0), input.corner(f, 1), input.corner(f, 2)).normalized();
     load(input);
     find_features();
+    find_tips();
     VertexMatrix points(static_cast<Eigen::Index>(options.refine_at.size()), 3);
     for (std::size_t i = 0; i < options.refine_at.size(); ++i)
       points.row(static_cast<Eigen::Index>(i)) = options.refine_at[i].transpose();
@@ -54,12 +55,14 @@ class Retiling {
   TriangleMesh run(Progress& progress) {
     double target = options_.spacing / 0.95;
     progress.begin("retiling", options_.iterations);
-    for (int iteration = 0; iteration < options_.iterations; ++iteration) {
+    // A few rounds more where the mean has not settled, as on large flat faces.
+    for (int iteration = 0; iteration < 2 * options_.iterations; ++iteration) {
+      if (iteration >= options_.iterations && std::abs(mean_edge() / options_.spacing - 1) < 0.01) break;
       split_long(4.0 / 3 * target);
       collapse_short(4.0 / 5 * target, 4.0 / 3 * target);
       flip();
       relax();
-      target *= std::clamp(options_.spacing / mean_edge(), 0.9, 1.1);
+      target *= std::clamp(options_.spacing / mean_edge(), 0.95, 1.05);
       progress.advance();
     }
     for (int pass = 0; pass < 2; ++pass) {
@@ -203,6 +206,23 @@ class Retiling {
     if (!kept.empty()) features_ = ClosestPointQuery(segments);
   }
 
+  // Keeps tips: vertices where the angles of long faces fall short of a full turn by 0.3 or more.
+  void find_tips() {
+    for (std::size_t i = 0; i < mesh_.n_vertices(); ++i) {
+      const VertexHandle v(static_cast<int>(i));
+      double angle = 0, length = 0;
+      int count = 0;
+      for (const HalfedgeHandle out : mesh_.voh_range(v)) {
+        const Vec3 p = position(mesh_.to_vertex_handle(out)) - position(v);
+        const Vec3 q = position(mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out))) - position(v);
+        angle += std::atan2(p.cross(q).norm(), p.dot(q));
+        length += p.norm();
+        ++count;
+      }
+      if (2 * std::numbers::pi - angle > 0.3 && length > 3 * options_.spacing * count) mesh_.status(v).set_locked(true);
+    }
+  }
+
   void split(EdgeHandle e) {
     const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
     const VertexHandle a = mesh_.from_vertex_handle(h), b = mesh_.to_vertex_handle(h);
@@ -309,18 +329,15 @@ class Retiling {
     std::vector<Vec3> moved(n);
     parallel_for(n, [&](std::size_t v) { moved[v] = relaxed_position(VertexHandle(static_cast<int>(v))); });
     // Where a face would turn over, its corners stay.
-    std::vector<char> stays(n, 0);
+    std::vector<char> turns(mesh_.n_faces());
     for (int round = 0; round < 4; ++round) {
-      parallel_for(n, [&](std::size_t v) {
-        if (!stays[v]) stays[v] = static_cast<char>(2 * turns_a_face(VertexHandle(static_cast<int>(v)), moved));
-      });
+      parallel_for(turns.size(), [&](std::size_t f) { turns[f] = turns_over(FaceHandle(static_cast<int>(f)), moved); });
       bool any = false;
-      for (std::size_t v = 0; v < n; ++v)
-        if (stays[v] == 2) {
-          moved[v] = position(static_cast<int>(v));
-          stays[v] = 1;
-          any = true;
-        }
+      for (std::size_t f = 0; f < turns.size(); ++f) {
+        if (!turns[f]) continue;
+        for (const VertexHandle v : mesh_.fv_range(FaceHandle(static_cast<int>(f)))) moved[v.idx()] = position(v);
+        any = true;
+      }
       if (!any) break;
     }
     parallel_for(n, [&](std::size_t v) { mesh_.set_point(VertexHandle(static_cast<int>(v)), to_point(moved[v])); });
@@ -354,15 +371,14 @@ class Retiling {
     return face_normals_[found.face_index].dot(normal) > 0 ? found.point : here;
   }
 
-  bool turns_a_face(VertexHandle v, const std::vector<Vec3>& moved) const {
-    for (const HalfedgeHandle out : mesh_.voh_range(v)) {
-      const VertexHandle p = mesh_.to_vertex_handle(out);
-      const VertexHandle q = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out));
-      const Vec3 before = cross_of(position(v), position(p), position(q));
-      const Vec3 after = cross_of(moved[v.idx()], moved[p.idx()], moved[q.idx()]);
-      if (before.dot(after) < 0.3 * before.norm() * after.norm()) return true;
-    }
-    return false;
+  bool turns_over(FaceHandle f, const std::vector<Vec3>& moved) const {
+    const HalfedgeHandle h = mesh_.halfedge_handle(f);
+    const VertexHandle a = mesh_.from_vertex_handle(h), b = mesh_.to_vertex_handle(h);
+    const VertexHandle c = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(h));
+    const Vec3 before = cross_of(position(a), position(b), position(c));
+    const Vec3 after = cross_of(moved[a.idx()], moved[b.idx()], moved[c.idx()]);
+    const double turn = before.dot(after);
+    return !(turn > 0) || turn * turn < 0.09 * before.squaredNorm() * after.squaredNorm();
   }
 
   RetileOptions options_;

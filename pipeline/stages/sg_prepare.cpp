@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/mesh_file.h"
+#include "meshing/surface/prepare_surface.h"
+#include "pipeline/cli/stage_program.h"
+
+using namespace shellgrid;
+
+int main(int argc, char** argv) {
+  std::string mesh_path;
+  PrepareOptions options;
+  bool no_retile = false;
+  StageProgram program("sg-prepare", "makes a closed, oriented, evenly tiled surface of any mesh");
+  program.input("MESH", mesh_path, "mesh: .ply, .obj, .off or .stl");
+  program.output("surface.ply", "the surface, centred on the origin");
+  program.option("--size", options.size, "mm", "longest edge of the bounding box; 0 keeps the file's units", 0, 1e6);
+  program.option("--spacing", options.spacing, "mm", "mean edge length of the retiled surface", 1e-6, 1e6);
+  program.option("--feature-angle", options.feature_angle, "degrees",
+                 "edges with a greater angle between their faces stay sharp; 180: none", 1, 180);
+  program.flag("--close-holes", options.close_holes, "fill every hole instead of refusing an open mesh");
+  program.flag("--no-retile", no_retile, "repair, scale and centre only");
+  program.example("sg-prepare bunny.off -o surface.ply --size 80 --spacing 0.4", "a bunny 80 mm long, edges of 0.4 mm");
+  program.example("sg-prepare scan.obj -o surface.ply --size 80 --close-holes", "a scan that is open at the bottom");
+  return program.run(argc, argv, [&](StageRun& run) {
+    options.retile = !no_retile;
+    run.start_timer("read");
+    AttributedMesh input = read_mesh(mesh_path);
+    run.start_timer("prepare");
+    const PreparedSurface surface =
+        naming(mesh_path, [&] { return prepare_surface(input.mesh, options, run.progress()); });
+    run.start_timer("write");
+    write_ply(run.output(), {surface.mesh, {}});
+
+    const double voxel = options.spacing;
+    run.results() = {
+        {"vertices", surface.mesh.vertex_count()},
+        {"faces", surface.mesh.face_count()},
+        {"genus", surface.genus},
+        {"volume_mm3", surface.volume},
+        {"scale", surface.scale},
+        {"edge_mean_mm", surface.edges.mean},
+        {"edge_deviation_mm", surface.edges.deviation},
+        {"edge_variation", surface.edges.variation()},
+        {"edge_least_mm", surface.edges.least},
+        {"edge_greatest_mm", surface.edges.greatest},
+        {"hausdorff_to_input_voxels", surface.to_input / voxel},
+        {"hausdorff_from_input_voxels", surface.from_input / voxel},
+        {"hausdorff_sampling", "at vertices and at one point in every half squared spacing of area"},
+        {"retiling_attempts", surface.retiling_attempts},
+        {"kept_triangles", surface.kept_triangles},
+        {"merged_vertices", surface.repair.merged_vertices},
+        {"dropped_faces", surface.repair.dropped_faces},
+        {"flattened_faces", surface.repair.flattened_faces},
+        {"unreferenced_vertices", surface.repair.unreferenced_vertices},
+        {"turned_faces", surface.repair.turned_faces},
+        {"closed_holes", surface.repair.closed_holes},
+    };
+    run.print(fmt::format("{} vertices, {} faces, genus {}, edges {:.4g} ± {:.2g} mm, {:.2g} voxels from the input",
+                          surface.mesh.vertex_count(), surface.mesh.face_count(), surface.genus, surface.edges.mean,
+                          surface.edges.deviation, std::max(surface.to_input, surface.from_input) / voxel));
+  });
+}
