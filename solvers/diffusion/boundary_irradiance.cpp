@@ -1,28 +1,14 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "solvers/diffusion/boundary_irradiance.h"
 
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 
 #include "meshing/core/parallel.h"
+#include "solvers/render/surface_render.h"
 #include "solvers/scattering/fresnel.h"
 
 namespace shellgrid {
-
-VertexMatrix vertex_normals(const TriangleMesh& mesh) {
-  VertexMatrix normals = VertexMatrix::Zero(mesh.vertex_count(), 3);
-  for (int f = 0; f < mesh.face_count(); ++f) {
-    const Vec3 a = mesh.corner(f, 0);
-    const Vec3 normal = (mesh.corner(f, 1) - a).cross(mesh.corner(f, 2) - a);
-    for (int k = 0; k < 3; ++k) normals.row(mesh.faces(f, k)) += normal.transpose();
-  }
-  for (int v = 0; v < mesh.vertex_count(); ++v) {
-    const double length = normals.row(v).norm();
-    if (length > 0) normals.row(v) /= length;
-  }
-  return normals;
-}
 
 SurfaceIrradiance surface_irradiance(const TriangleMesh& mesh, const SceneGeometry& geometry,
                                      const std::vector<Light>& lights, double ior, int environment_samples) {

@@ -18,9 +18,6 @@ struct SurfaceIrradiance {
   std::int64_t occluded = 0;     // of them in shadow
 };
 
-// Unit normals at the vertices: the faces' means by area.
-VertexMatrix vertex_normals(const TriangleMesh& mesh);
-
 // Environments become about `environment_samples` parallel lights. Shadow rays start a twentieth of the mean edge
 // above the surface, so that faces around a vertex do not shade it. `ior` ≥ 1, inside over outside.
 SurfaceIrradiance surface_irradiance(const TriangleMesh& mesh, const SceneGeometry& geometry,

@@ -3,12 +3,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 
 #include "meshing/core/error.h"
 #include "solvers/diffusion/boundary_irradiance.h"
 #include "solvers/diffusion/cell_coefficients.h"
+#include "solvers/diffusion/paper_operator.h"
 #include "solvers/diffusion/surface_transfer.h"
 #include "solvers/render/scene_geometry.h"
+#include "solvers/scattering/fresnel.h"
 
 namespace shellgrid {
 namespace {
@@ -51,6 +54,108 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
                   " material samples scatter almost nothing; light crosses them freely");
 }
 
+// What either operator yields: at the polygrid's points.
+struct PointFields {
+  std::vector<Rgb> fluence, exitance;
+};
+
+PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
+                           const std::vector<Rgb>& irradiance, const DiffusionOptions& options,
+                           DiffusionResult& result) {
+  const PolygridSystem system = assemble_polygrid_system(polygrid, coefficients, ior);
+  const std::size_t n = system.key.size();
+  std::vector<Double4> q(n, Double4{}), fluence;
+  for (std::size_t u = 0; u < n; ++u) q[u] = to_double(to_lanes(irradiance[system.point_of_unknown[u]]));
+  Multigrid multigrid(system);
+  result.solve = solve_conjugate_gradients(system, multigrid, boundary_source(system, q), q, options.tolerance,
+                                           options.most_iterations, fluence);
+  result.energy = energy_balance(system, fluence, q);
+  const std::vector<Double4> exitance = boundary_exitance(system, fluence, q);
+  PointFields fields{std::vector<Rgb>(n), std::vector<Rgb>(n)};
+  for (std::size_t u = 0; u < n; ++u) {
+    fields.fluence[system.point_of_unknown[u]] = to_rgb(fluence[u]);
+    fields.exitance[system.point_of_unknown[u]] = to_rgb(exitance[u]);
+  }
+  return fields;
+}
+
+Rgb mean_of_eight(const std::vector<Rgb>& samples, Eigen::Index cell) {
+  Rgb sum = Rgb::Zero();
+  for (int k = 0; k < 8; ++k) sum += samples[8 * cell + k];
+  return sum / 8;
+}
+
+// Interior node i of the graph is the centre of core cell i, boundary node k belongs to boundary quad k and to the
+// k-th layer cell.
+PointFields solve_paper(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
+                        const std::vector<Rgb>& irradiance, const DiffusionOptions& options, DiffusionResult& result) {
+  const Eigen::Index cores = polygrid.graph.interior.rows(), quads = polygrid.boundary_quads.rows();
+  if (cores + quads != polygrid.cells.rows() || polygrid.graph.boundary.rows() != quads)
+    throw InputError("polygrid: its graph does not match its cells");
+  // The cells' shapes are checked, and measured, by the assembly that this operator does without.
+  const PolygridSystem measured = assemble_polygrid_system(polygrid, coefficients, ior);
+
+  PaperProblem problem;
+  problem.boundary_factor = polynomial_boundary_factor(ior);
+  problem.tolerance = std::min(1e-4, 0.01 * options.tolerance);
+  const std::vector<Rgb>& extinction = coefficients.reduced_extinction;
+  auto diffusion = [&](Eigen::Index cell) -> Rgb {
+    Rgb sum = Rgb::Zero();
+    for (int k = 0; k < 8; ++k) sum += 1 / (24 * extinction[8 * cell + k]);
+    return sum;
+  };
+  for (Eigen::Index i = 0; i < cores; ++i) {
+    problem.diffusion.push_back(diffusion(i));
+    problem.absorption.push_back(mean_of_eight(coefficients.absorption, i));
+  }
+  for (Eigen::Index k = 0; k < quads; ++k) {
+    problem.boundary_diffusion.push_back(diffusion(cores + k));
+    Rgb light = Rgb::Zero();
+    for (int a = 0; a < 4; ++a) light += irradiance[polygrid.boundary_quads(k, a)] / 4;
+    problem.boundary_light.push_back(light);
+  }
+  const PaperSolution solution = solve_paper_operator(polygrid.graph, problem);
+  result.solve.iterations = solution.iterations;
+  result.solve.tolerance = problem.tolerance;
+  result.solve.residual_history = solution.residual_history;
+  result.solve.estimated_error = solution.residual;
+  result.solve.unknowns = static_cast<std::size_t>(cores);
+
+  // Cells' and quads' values averaged to their corners.
+  const std::size_t n = static_cast<std::size_t>(polygrid.points.rows());
+  PointFields fields{std::vector<Rgb>(n, Rgb::Zero()), std::vector<Rgb>(n, Rgb::Zero())};
+  std::vector<float> count(n, 0.0f);
+  for (Eigen::Index i = 0; i < cores; ++i)
+    for (int a = 0; a < 8; ++a) {
+      fields.fluence[polygrid.cells(i, a)] += solution.interior[i];
+      ++count[polygrid.cells(i, a)];
+    }
+  // [Diffusion eq. 3] with eq. 2: −C κ ∂φ/∂n = (φ − q)/2, times the mean transmittance.
+  const auto passed = static_cast<float>(diffuse_fresnel(ior).exit_normalization);
+  for (Eigen::Index k = 0; k < quads; ++k)
+    for (int a = 0; a < 4; ++a) {
+      const std::int32_t point = polygrid.boundary_quads(k, a);
+      fields.fluence[point] += solution.boundary[k];
+      fields.exitance[point] += 0.5f * passed * (solution.boundary[k] - problem.boundary_light[k]);
+      ++count[point];
+    }
+  for (std::size_t i = 0; i < n; ++i) {
+    if (count[i] == 0) continue;
+    fields.fluence[i] /= count[i];
+    fields.exitance[i] /= count[i];
+  }
+  for (std::size_t u = 0; u < n; ++u) {
+    const std::int32_t point = measured.point_of_unknown[u];
+    result.energy.entering += measured.boundary_area[u] * to_double(to_lanes(irradiance[point]));
+    result.energy.leaving += measured.boundary_area[u] * to_double(to_lanes(fields.exitance[point]));
+    result.energy.absorbed += measured.absorption[u] * to_double(to_lanes(fields.fluence[point]));
+  }
+  result.energy.relative_defect =
+      safe_quotient(result.energy.entering - result.energy.leaving - result.energy.absorbed, result.energy.entering);
+  for (int c = 0; c < 4; ++c) result.energy.relative_defect[c] = std::abs(result.energy.relative_defect[c]);
+  return fields;
+}
+
 }  // namespace
 
 DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const TriangleMesh& surface,
@@ -59,6 +164,10 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
                                          Progress& progress) {
   if (!(options.tolerance > 0) || options.tolerance >= 1)
     throw InputError("tolerance " + std::to_string(options.tolerance) + ": expected more than 0 and less than 1");
+  if (options.operator_name != "elements" && options.operator_name != "paper")
+    throw InputError("operator " + options.operator_name + ": expected elements or paper");
+  if (options.source != "boundary")
+    throw InputError("source " + options.source + ": the polygrid solver lets light in at the boundary only");
   if (lights.empty()) throw InputError("scene: it has no lights");
   DiffusionResult result;
 
@@ -77,28 +186,17 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
                                             ? homogeneous_coefficients(polygrid, std::get<Material>(material))
                                             : sample_coefficients(polygrid, *std::get<const ShellVolume*>(material));
   judge_material(polygrid, coefficients, result, progress);
-  const PolygridSystem system = assemble_polygrid_system(polygrid, coefficients, ior);
   progress.end();
 
   progress.begin("diffusion", 1);
-  const std::size_t n = system.key.size();
   const std::vector<Rgb> point_irradiance = transfer.to_points(irradiance.values);
-  std::vector<Double4> q(n, Double4{}), fluence;
-  for (std::size_t u = 0; u < n; ++u) q[u] = to_double(to_lanes(point_irradiance[system.point_of_unknown[u]]));
-  Multigrid multigrid(system);
-  result.solve = solve_conjugate_gradients(system, multigrid, boundary_source(system, q), q, options.tolerance,
-                                           options.most_iterations, fluence);
-  result.energy = energy_balance(system, fluence, q);
+  PointFields fields = options.operator_name == "paper"
+                           ? solve_paper(polygrid, coefficients, ior, point_irradiance, options, result)
+                           : solve_elements(polygrid, coefficients, ior, point_irradiance, options, result);
   progress.end();
 
-  const std::vector<Double4> exitance = boundary_exitance(system, fluence, q);
-  std::vector<Rgb> point_exitance(n);
-  result.fluence.resize(n);
-  for (std::size_t u = 0; u < n; ++u) {
-    result.fluence[system.point_of_unknown[u]] = to_rgb(fluence[u]);
-    point_exitance[system.point_of_unknown[u]] = to_rgb(exitance[u]);
-  }
-  result.exitance = transfer.to_vertices(point_exitance);
+  result.fluence = std::move(fields.fluence);
+  result.exitance = transfer.to_vertices(fields.exitance);
   std::int64_t negative = 0;
   for (Rgb& value : result.exitance) {
     negative += (value < 0).any();

@@ -118,4 +118,58 @@ inline Polygrid ball_grid(int n, double radius, double layer, bool nested = fals
   return mapped_box(Vec3i::Constant(n), all_sides, inner, outer, h);
 }
 
+// The box [0, edge]³, n³ core cells and a layer: equal, axis-aligned cells.
+inline Polygrid cube_grid(int n, double edge, double layer) {
+  const double h = edge / (n + 2 * layer);
+  auto inner = [=](const Vec3& p) -> Vec3 { return h * (p + Vec3::Constant(layer)); };
+  // Outer points of the cube's edges stand off diagonally.
+  auto outer = [=](const Vec3& p) -> Vec3 {
+    Vec3 x = inner(p);
+    for (int k = 0; k < 3; ++k) x[k] = p[k] == 0 ? 0 : p[k] == n ? edge : x[k];
+    return x;
+  };
+  return mapped_box(Vec3i::Constant(n), all_sides, inner, outer, h);
+}
+
+// The paper's graph on cube_grid: cell centres, boundary nodes straight above them, weights of unequal three-point
+// differences (what appendix B gives on an orthogonal grid).
+inline void add_cube_graph(Polygrid& grid, int n, double edge) {
+  PolygridGraph& graph = grid.graph;
+  const Eigen::Index cores = static_cast<Eigen::Index>(n) * n * n, quads = grid.boundary_quads.rows();
+  graph.interior.setZero(cores, 3);
+  for (Eigen::Index i = 0; i < cores; ++i)
+    for (int a = 0; a < 8; ++a) graph.interior.row(i) += grid.points.row(grid.cells(i, a)) / 8;
+  graph.boundary.resize(quads, 3);
+  graph.boundary_owner.resize(quads);
+  graph.boundary_distance.resize(quads);
+  graph.links.setZero(cores, 6);
+  graph.weights.resize(cores, 6);
+  auto cell = [&](const Vec3i& at) { return (at.z() * n + at.y()) * n + at.x(); };
+  Eigen::Index next = 0;
+  for (Eigen::Index i = 0; i < cores; ++i) {
+    const Vec3i at = grid.cell_lattice.row(i).transpose();
+    for (int side = 0; side < 6; ++side) {
+      const Vec3i there = at + (side % 2 ? 1 : -1) * Vec3i::Unit(side / 2);
+      if (there[side / 2] >= 0 && there[side / 2] < n) {
+        graph.links(i, side) = cell(there);
+        continue;
+      }
+      graph.boundary.row(next) = graph.interior.row(i);
+      graph.boundary(next, side / 2) = side % 2 ? edge : 0;
+      graph.boundary_owner[next] = static_cast<std::int32_t>(i);
+      graph.boundary_distance[next] = std::abs(graph.boundary(next, side / 2) - graph.interior(i, side / 2));
+      graph.links(i, side) = static_cast<std::int32_t>(-1 - next++);
+    }
+    for (int side = 0; side < 6; ++side) {
+      double distance[2];
+      for (int k = 0; k < 2; ++k) {
+        const std::int32_t link = graph.links(i, k == 0 ? side : side ^ 1);
+        const Vec3 other = (link >= 0 ? graph.interior.row(link) : graph.boundary.row(-1 - link)).transpose();
+        distance[k] = (other - graph.interior.row(i).transpose()).norm();
+      }
+      graph.weights(i, side) = 2 / (distance[0] * (distance[0] + distance[1]));
+    }
+  }
+}
+
 }  // namespace shellgrid::test

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/diffusion/paper_operator.h"
+
+#include <Eigen/IterativeLinearSolvers>
+#include <Eigen/SparseCore>
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+
+namespace shellgrid {
+namespace {
+
+using SparseMatrix = Eigen::SparseMatrix<double, Eigen::RowMajor>;
+
+struct ChannelSystem {
+  SparseMatrix matrix;    // of ψ = κφ at interior nodes, boundary nodes eliminated
+  Eigen::VectorXd light;  // right-hand side
+};
+
+void check(const PolygridGraph& graph, const PaperProblem& problem) {
+  const auto n = static_cast<std::size_t>(graph.interior.rows()), b = static_cast<std::size_t>(graph.boundary.rows());
+  if (n == 0 || b == 0) throw InputError("polygrid: its graph has no nodes");
+  if (static_cast<std::size_t>(graph.links.rows()) != n || static_cast<std::size_t>(graph.weights.rows()) != n ||
+      graph.boundary_owner.size() != b || graph.boundary_distance.size() != b || problem.diffusion.size() != n ||
+      problem.absorption.size() != n || problem.boundary_diffusion.size() != b || problem.boundary_light.size() != b)
+    throw InputError("polygrid: its graph's arrays differ in length");
+  for (Eigen::Index k = 0; k < graph.links.size(); ++k) {
+    const std::int64_t link = graph.links.data()[k];
+    if (link >= static_cast<std::int64_t>(n) || -1 - link >= static_cast<std::int64_t>(b))
+      throw InputError("polygrid: a link of its graph is out of range");
+  }
+  if (!graph.weights.allFinite()) throw InputError("polygrid: a weight of its graph is not finite");
+  for (double distance : graph.boundary_distance)
+    if (!(distance > 0)) throw InputError("polygrid: a boundary node of its graph lies on its interior node");
+}
+
+// ψ_b = offset + factor ψ_owner. Source: [Diffusion eq. 9, second line; §5.2].
+void boundary_relation(const PolygridGraph& graph, const PaperProblem& problem, std::int64_t b, int c, double& offset,
+                       double& factor) {
+  const double kappa = problem.boundary_diffusion[b][c];
+  const double owner_kappa = problem.diffusion[graph.boundary_owner[b]][c];
+  const double slope = 2 * problem.boundary_factor * kappa / graph.boundary_distance[b];
+  offset = kappa * problem.boundary_light[b][c] / (1 + slope);
+  factor = kappa / owner_kappa * slope / (1 + slope);
+}
+
+ChannelSystem assemble(const PolygridGraph& graph, const PaperProblem& problem, int c) {
+  const Eigen::Index n = graph.interior.rows();
+  ChannelSystem system;
+  system.light = Eigen::VectorXd::Zero(n);
+  std::vector<Eigen::Triplet<double>> entries;
+  entries.reserve(7 * n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    double diagonal = problem.absorption[i][c] / problem.diffusion[i][c];
+    for (int k = 0; k < 6; ++k) {
+      const double weight = graph.weights(i, k);
+      const std::int64_t link = graph.links(i, k);
+      diagonal += weight;
+      if (link >= 0) {
+        entries.emplace_back(i, link, -weight);
+      } else {
+        double offset, factor;
+        boundary_relation(graph, problem, -1 - link, c, offset, factor);
+        const std::int32_t owner = graph.boundary_owner[-1 - link];
+        if (owner == i)
+          diagonal -= weight * factor;
+        else
+          entries.emplace_back(i, owner, -weight * factor);
+        system.light[i] += weight * offset;
+      }
+    }
+    entries.emplace_back(i, i, diagonal);
+  }
+  system.matrix.resize(n, n);
+  system.matrix.setFromTriplets(entries.begin(), entries.end());
+  return system;
+}
+
+struct ChannelSolution {
+  Eigen::VectorXd psi;
+  int iterations = 0;
+  double residual = 0;
+  std::vector<double> history;
+};
+
+ChannelSolution solve_bicgstab(const ChannelSystem& system, const PaperProblem& problem) {
+  Eigen::BiCGSTAB<SparseMatrix, Eigen::IncompleteLUT<double>> solver;
+  solver.preconditioner().setDroptol(1e-3);
+  solver.preconditioner().setFillfactor(4);
+  solver.setTolerance(problem.tolerance);
+  solver.setMaxIterations(problem.most_iterations);
+  solver.compute(system.matrix);
+  ChannelSolution solution;
+  if (solver.info() != Eigen::Success) throw NumericalError("paper's operator: incomplete factorisation failed");
+  solution.psi = solver.solve(system.light);
+  solution.iterations = static_cast<int>(solver.iterations());
+  return solution;
+}
+
+// Source: [Diffusion §5.2], the update of the radiance buffer.
+ChannelSolution relax(const ChannelSystem& system, const PaperProblem& problem) {
+  ChannelSolution solution;
+  const Eigen::VectorXd inverse_diagonal = system.matrix.diagonal().cwiseInverse();
+  const double size = system.light.norm();
+  solution.psi = Eigen::VectorXd::Zero(system.light.size());
+  for (; solution.iterations < problem.most_iterations; ++solution.iterations) {
+    const Eigen::VectorXd residual = system.light - system.matrix * solution.psi;
+    const double relative = residual.norm() / size;
+    solution.history.push_back(relative);
+    if (!(relative > problem.tolerance)) break;
+    if (relative > 1e6) throw NumericalError("paper's operator: its relaxation diverges on this grid");
+    solution.psi += inverse_diagonal.cwiseProduct(residual);
+  }
+  return solution;
+}
+
+}  // namespace
+
+PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProblem& problem) {
+  check(graph, problem);
+  const Eigen::Index n = graph.interior.rows(), b = graph.boundary.rows();
+  PaperSolution result;
+  result.interior.assign(n, Rgb::Zero());
+  result.boundary.assign(b, Rgb::Zero());
+  ChannelSolution channels[3];
+  parallel_for(
+      3,
+      [&](std::size_t channel) {
+        const int c = static_cast<int>(channel);
+        const ChannelSystem system = assemble(graph, problem, c);
+        ChannelSolution& solution = channels[c];
+        const double size = system.light.norm();
+        if (size == 0) {
+          solution.psi = Eigen::VectorXd::Zero(n);
+        } else {
+          solution = problem.method == PaperMethod::bicgstab ? solve_bicgstab(system, problem) : relax(system, problem);
+          solution.residual = (system.light - system.matrix * solution.psi).norm() / size;
+        }
+        for (Eigen::Index i = 0; i < n; ++i)
+          result.interior[i][c] = static_cast<float>(solution.psi[i] / problem.diffusion[i][c]);
+        for (Eigen::Index k = 0; k < b; ++k) {
+          double offset, factor;
+          boundary_relation(graph, problem, k, c, offset, factor);
+          result.boundary[k][c] = static_cast<float>((offset + factor * solution.psi[graph.boundary_owner[k]]) /
+                                                     problem.boundary_diffusion[k][c]);
+        }
+      },
+      1);
+  for (const ChannelSolution& solution : channels) {
+    if (!std::isfinite(solution.residual) || solution.residual > 1.01 * problem.tolerance)
+      throw NumericalError("paper's operator: no convergence to " + std::to_string(problem.tolerance) + " after " +
+                           std::to_string(solution.iterations) + " iterations; relative residual " +
+                           std::to_string(solution.residual));
+    result.iterations = std::max(result.iterations, solution.iterations);
+    result.residual = std::max(result.residual, solution.residual);
+    if (solution.history.size() > result.residual_history.size()) result.residual_history = solution.history;
+  }
+  if (result.residual_history.empty()) result.residual_history = {1.0, result.residual};
+  return result;
+}
+
+}  // namespace shellgrid
