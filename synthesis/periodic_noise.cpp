@@ -32,12 +32,13 @@ double PeriodicNoise::octave(const Vec3& point, int cells, std::uint64_t stream)
   const double fx = x - ix, fy = y - iy, fz = z - iz;
   const std::uint64_t key = hash64(seed_, stream);
   double values[8];
-  for (int c = 0; c < 8; ++c) {
-    const int dx = c & 1, dy = c >> 1 & 1, dz = c >> 2;
-    const std::uint64_t column =
-        static_cast<std::uint64_t>(wrap(ix + dx, cells_x)) << 32 | static_cast<std::uint32_t>(wrap(iy + dy, cells_y));
-    values[c] = corner(hash64(key ^ hash64(column), static_cast<std::uint64_t>(static_cast<std::int64_t>(iz + dz))),
-                       fx - dx, fy - dy, fz - dz);
+  for (int c = 0; c < 4; ++c) {
+    const int dx = c & 1, dy = c >> 1;
+    const std::uint64_t column = key ^ hash64(static_cast<std::uint64_t>(wrap(ix + dx, cells_x)) << 32 |
+                                              static_cast<std::uint32_t>(wrap(iy + dy, cells_y)));
+    for (int dz = 0; dz < 2; ++dz)
+      values[c + 4 * dz] = corner(hash64(column + static_cast<std::uint64_t>(static_cast<std::int64_t>(iz + dz))),
+                                  fx - dx, fy - dy, fz - dz);
   }
   const double u = fade(fx), v = fade(fy), w = fade(fz);
   const auto lerp = [](double a, double b, double t) { return a + t * (b - a); };

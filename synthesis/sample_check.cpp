@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 #include "synthesis/albedo.h"
 
 namespace shellgrid {
@@ -36,19 +37,25 @@ Eigen::Array<float, 7, 1> signature(const MaterialSample& sample, std::size_t in
   return values;
 }
 
+using Signature = Eigen::Array<float, 7, 1>;
+
 // Mean step across the seam over the largest mean step between neighbouring slices inside.
-double seam(const MaterialSample& sample, int axis) {
+double seam(const MaterialSample& sample, const std::vector<Signature>& signatures, int axis) {
   const int n = sample.size[axis], other = sample.size[1 - axis];
   if (n < 3) return 0;
   std::vector<double> step(n, 0.0);  // from slice i to i + 1, wrapping
-  for (int z = 0; z < sample.size.z(); ++z)
-    for (int j = 0; j < other; ++j)
-      for (int i = 0; i < n; ++i) {
-        const int next = (i + 1) % n;
-        const std::size_t a = axis == 0 ? sample.index(i, j, z) : sample.index(j, i, z);
-        const std::size_t b = axis == 0 ? sample.index(next, j, z) : sample.index(j, next, z);
-        step[i] += (signature(sample, a) - signature(sample, b)).abs().sum();
-      }
+  parallel_for(
+      n,
+      [&](std::size_t i) {
+        const int here = static_cast<int>(i), next = (here + 1) % n;
+        for (int z = 0; z < sample.size.z(); ++z)
+          for (int j = 0; j < other; ++j) {
+            const std::size_t a = axis == 0 ? sample.index(here, j, z) : sample.index(j, here, z);
+            const std::size_t b = axis == 0 ? sample.index(next, j, z) : sample.index(j, next, z);
+            step[i] += (signatures[a] - signatures[b]).abs().sum();
+          }
+      },
+      1);
   const double inside = *std::max_element(step.begin(), step.end() - 1);
   const double least = 1e-6 * other * sample.size.z();
   return step.back() <= least ? 0 : step.back() / std::max(inside, least);
@@ -79,8 +86,10 @@ SampleCheck check_sample(const MaterialSample& sample) {
   check.mean_free_path = (1 / (extinction * scale)).cast<float>();
   check.mesostructure_depth = deepest * sample.voxel;
   check.free_share = 1 - static_cast<double>(material) / static_cast<double>(count);
-  check.seam_x = seam(sample, 0);
-  check.seam_y = seam(sample, 1);
+  std::vector<Signature> signatures(count);
+  parallel_for(count, [&](std::size_t i) { signatures[i] = signature(sample, i); });
+  check.seam_x = seam(sample, signatures, 0);
+  check.seam_y = seam(sample, signatures, 1);
 
   for (int axis = 0; axis < 2; ++axis) {
     const double ratio = axis == 0 ? check.seam_x : check.seam_y;

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""sg-sample, sg-textons, sg-synthesize and sg-shell as programs: good runs, bad inputs, same bytes."""
+import os
+import shutil
+import unittest
+
+from programs import SOURCE, icosphere, record, run, workplace, write_json, write_off
+
+BODY = {"absorption": [0.02, 0.03, 0.04], "scattering": [2, 2.2, 2.4]}
+VEIN = {"absorption": [0.4, 0.5, 0.5], "scattering": [1.5, 1.5, 1.5], "anisotropy": 0.1}
+
+
+def description(**changes):
+    content = {"type": "marble", "size": [32, 32], "voxel": 0.5, "thickness": 3, "ior": 1.4,
+               "materials": {"body": BODY, "vein": VEIN}, "warp": 3,
+               "veins": [{"cells": 2, "width": 1.2, "waves_x": 1, "waves_y": 1}]}
+    content.update(changes)
+    return {key: value for key, value in content.items() if value is not None}
+
+
+def read_bytes(path):
+    with open(path, "rb") as file:
+        return file.read()
+
+
+def ply_properties(path):
+    header = read_bytes(path).split(b"end_header")[0].decode()
+    return [line.split()[2] for line in header.splitlines() if line.startswith("property") and "list" not in line]
+
+
+class Chain(unittest.TestCase):
+    """One small chain, from a ball and a description to a shell; every test works on copies of its files."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.keep = workplace()
+        cls.folder = cls.keep.name
+        at = cls.at
+        write_json(at("sample.json"), description())
+        write_off(at("ball.off"), icosphere(3, 6.0))
+        for arguments in (("prepare", at("ball.off"), "-o", at("surface.ply"), "--size", 0, "--spacing", 0.5),
+                          ("distance", at("surface.ply"), "-o", at("distance.vdb"), "--voxel", 0.5, "--inside", 3.5,
+                           "--outside", 1),
+                          ("sample", at("sample.json"), "-o", at("sample.vdb")),
+                          ("textons", at("sample.vdb"), "-o", at("textons.vdb"), "--textons", 30),
+                          ("synthesize", at("surface.ply"), at("textons.vdb"), "-o", at("synthesized.ply")),
+                          ("shell", at("synthesized.ply"), at("distance.vdb"), at("sample.vdb"), "-o", at("shell.vdb"),
+                           "--thickness", 2)):
+            done = run(*arguments)
+            assert done.returncode == 0, done.stderr
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.keep.cleanup()
+
+    @classmethod
+    def at(cls, name):
+        return os.path.join(cls.folder, name)
+
+    def refused(self, done, code, *parts):
+        self.assertEqual(done.returncode, code, done.stderr)
+        lines = done.stderr.strip().splitlines()
+        self.assertEqual(len(lines), 1, done.stderr)
+        for part in parts:
+            self.assertIn(part, lines[0])
+
+    def test_every_stage_writes_its_output_record_and_view(self):
+        for name in ("sample.vdb", "textons.vdb", "synthesized.ply", "shell.vdb"):
+            self.assertGreater(os.path.getsize(self.at(name)), 1000)
+            self.assertEqual(record(self.at(name))["warnings"], [])
+        for view in ("sample.view.ply", "textons.view.ply", "shell.view.ply"):
+            self.assertTrue({"red", "green", "blue", "quality"} <= set(ply_properties(self.at(view))))
+        self.assertTrue({"texture_u", "texture_v", "direction_x", "direction_y", "direction_z", "quality", "red", "green",
+                         "blue", "s", "t"} <= set(ply_properties(self.at("synthesized.ply"))))
+
+    def test_figures_in_the_records(self):
+        synthesized = record(self.at("synthesized.ply"))["results"]
+        self.assertEqual(synthesized["singularities_positive"] - synthesized["singularities_negative"], 2)
+        self.assertLess(synthesized["window_distance_over_variance"], synthesized["window_distance_random"] / 2)
+        shell = record(self.at("shell.vdb"))["results"]
+        self.assertLess(shell["leaves"], shell["possible_leaves"])
+        # Grid points of a ball between radii 4 and 6 mm, 0.5 mm apart.
+        expected = 4 / 3 * 3.14159 * (6 ** 3 - 4 ** 3) / 0.5 ** 3
+        self.assertAlmostEqual(shell["voxels"] / expected, 1, delta=0.05)
+
+    def test_same_bytes_at_any_number_of_threads_and_other_bytes_for_another_seed(self):
+        with workplace() as folder:
+            def out(name):
+                return os.path.join(folder, name)
+            for threads in (1, 2):
+                run("sample", self.at("sample.json"), "-o", out("sample.vdb"), "--threads", threads)
+                run("textons", self.at("sample.vdb"), "-o", out("textons.vdb"), "--textons", 30, "--threads", threads)
+                run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out("synthesized.ply"), "--threads",
+                    threads)
+                run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o",
+                    out("shell.vdb"), "--thickness", 2, "--threads", threads)
+                for name in ("sample.vdb", "textons.vdb", "synthesized.ply", "shell.vdb", "shell.view.ply"):
+                    self.assertEqual(read_bytes(self.at(name)), read_bytes(out(name)), name)
+            run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out("other.ply"), "--seed", 7)
+            self.assertNotEqual(read_bytes(self.at("synthesized.ply")), read_bytes(out("other.ply")))
+
+    def test_a_sample_goes_through_its_own_volume_unchanged(self):
+        with workplace() as folder:
+            again = os.path.join(folder, "again.vdb")
+            self.assertEqual(run("sample", self.at("sample.vdb"), "-o", again).returncode, 0)
+            self.assertEqual(read_bytes(self.at("sample.vdb")), read_bytes(again))
+            thin = run("sample", self.at("sample.vdb"), "-o", again, "--thickness", 1.5)
+            self.assertEqual(thin.returncode, 0, thin.stderr)
+            self.assertEqual(record(again)["results"]["size"], [32, 32, 3])
+            self.refused(run("sample", self.at("sample.vdb"), "-o", again, "--thickness", 9), 3, "9 mm")
+
+    def test_options_override_the_description(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "sample.vdb")
+            run("sample", self.at("sample.json"), "-o", out, "--voxel", 0.25, "--thickness", 2, "--ior", 1.3)
+            results = record(out)["results"]
+            self.assertEqual(results["size"], [32, 32, 8])
+            self.assertEqual((results["voxel_mm"], results["ior"]), (0.25, 1.3))
+
+    def test_shipped_samples_pass_their_checks(self):
+        with workplace() as folder:
+            for name in sorted(os.listdir(os.path.join(SOURCE, "assets", "samples"))):
+                if name.endswith(".json"):
+                    done = run("sample", os.path.join(SOURCE, "assets", "samples", name), "-o",
+                               os.path.join(folder, "sample.vdb"), "--strict")
+                    self.assertEqual(done.returncode, 0, name + ": " + done.stderr)
+
+    def test_checks_warn_and_strict_fails(self):
+        with workplace() as folder:
+            small, out = os.path.join(folder, "small.json"), os.path.join(folder, "small.vdb")
+            write_json(small, description(size=[16, 16]))
+            clear = {"absorption": [0.0001, 0.0001, 0.0001], "scattering": [1, 1, 1]}
+            write_json(small, description(materials={"body": clear, "vein": clear}, thickness=1))
+            self.assertEqual(run("sample", small, "-o", out).returncode, 0)
+            warnings = record(out)["warnings"]
+            self.assertEqual(len(warnings), 3)
+            self.assertIn("n_x = 32 voxels", warnings[0])
+            self.assertIn("n_z = 2 voxels", warnings[2])
+            os.remove(out)
+            self.refused(run("sample", small, "-o", out, "--strict"), 3, "n_x = 32 voxels")
+            self.assertFalse(os.path.exists(out))
+
+    def test_bad_descriptions(self):
+        cases = [
+            (description(vains=[]), "vains", "veins"),
+            (description(type="marbel"), "marbel", "marble"),
+            (description(materials={"body": BODY, "vein": dict(VEIN, absorbtion=1)}), "materials.vein.absorbtion",
+             "absorption"),
+            (description(materials={"body": BODY}), "materials.vein", "missing"),
+            (description(materials={"body": {"named": "marbl"}, "vein": VEIN}), "marbl", "marble"),
+            (description(materials={"body": {"absorption": -1, "scattering": 1}, "vein": VEIN}), "absorption",
+             "out of range"),
+            (description(size=[32]), "size", "n_y"),
+            (description(size=[2, 2]), "size", "4"),
+            (description(voxel="big"), "voxel", "number"),
+            (description(voxel=0), "voxel", "out of range"),
+            (description(thickness=1e4), "thickness", "voxels"),
+            (description(veins=[{"cells": 1.5}]), "veins[0].cells", "whole"),
+            (description(seed=-1), "seed", "out of range"),
+            ([1, 2], "description", "section"),
+            ({"type": "volume", "file": "nowhere.vdb"}, "nowhere.vdb", "No such file"),
+            (description(type="bumps", materials={"body": BODY, "bump": VEIN}, thickness=1, veins=None, warp=None),
+             "thickness", "thicker"),
+        ]
+        with workplace() as folder:
+            bad, out = os.path.join(folder, "bad.json"), os.path.join(folder, "bad.vdb")
+            for content, *parts in cases:
+                with self.subTest(content):
+                    write_json(bad, content)
+                    self.refused(run("sample", bad, "-o", out), 3, *parts)
+                    self.assertFalse(os.path.exists(out))
+            for text in ("", "{", "{\"type\": \"marble\"", "\0\1\2", "nonsense"):
+                with open(bad, "w") as file:
+                    file.write(text)
+                self.refused(run("sample", bad, "-o", out), 3, "bad.json")
+            self.refused(run("sample", os.path.join(folder, "none.json"), "-o", out), 3, "none.json")
+
+    def test_volumes_of_the_wrong_kind_are_refused(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "out")
+            self.refused(run("textons", self.at("distance.vdb"), "-o", out + ".vdb"), 3, "distance.vdb", "material sample")
+            self.refused(run("synthesize", self.at("surface.ply"), self.at("sample.vdb"), "-o", out + ".ply"), 3, "sample.vdb",
+                         "texton set")
+            self.refused(run("sample", self.at("distance.vdb"), "-o", out + ".vdb"), 3, "distance.vdb", "density")
+            self.refused(run("shell", self.at("surface.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o",
+                             out + ".vdb"), 3, "surface.ply", "texture_u")
+            self.refused(run("shell", self.at("synthesized.ply"), self.at("sample.vdb"), self.at("sample.vdb"), "-o",
+                             out + ".vdb"), 3, "sample.vdb")
+            self.assertEqual(os.listdir(folder), [])
+
+    def test_truncated_volumes_are_refused(self):
+        whole = read_bytes(self.at("textons.vdb"))
+        with workplace() as folder:
+            cut, out = os.path.join(folder, "cut.vdb"), os.path.join(folder, "out.ply")
+            for length in (0, 5, 100, len(whole) // 2, len(whole) - 1):
+                with open(cut, "wb") as file:
+                    file.write(whole[:length])
+                self.refused(run("synthesize", self.at("surface.ply"), cut, "-o", out), 3, "cut.vdb")
+
+    def test_inputs_that_do_not_belong_together_are_refused(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "out")
+            write_off(out + ".off", icosphere(3, 20.0))
+            self.refused(run("synthesize", out + ".off", self.at("textons.vdb"), "-o", out + ".ply"), 3, "edge length",
+                         "sg-prepare --spacing 0.5")
+            self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o",
+                             out + ".vdb", "--thickness", 5), 3, "sg-distance --inside")
+            run("sample", self.at("sample.json"), "-o", out + ".vdb", "--voxel", 0.4)
+            self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), out + ".vdb", "-o",
+                             out + ".shell.vdb", "--thickness", 2), 3, "sg-distance --voxel 0.4")
+            self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o",
+                             out + ".shell.vdb", "--thickness", 2, "--core-absorption", "0.1,0.1,0.1"), 3,
+                         "--core-scattering")
+
+    def test_the_core_may_be_given(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "shell.vdb")
+            done = run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o", out,
+                       "--thickness", 2, "--core-absorption", "0.1,0.2,0.3", "--core-scattering", "1,1,1")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertNotEqual(read_bytes(out), read_bytes(self.at("shell.vdb")))
+
+    def test_the_papers_textons_work_too(self):
+        with workplace() as folder:
+            textons, out = os.path.join(folder, "textons.vdb"), os.path.join(folder, "synthesized.ply")
+            self.assertEqual(run("textons", self.at("sample.vdb"), "-o", textons, "--method", "textons", "--textons",
+                                 60).returncode, 0)
+            self.assertEqual(run("synthesize", self.at("surface.ply"), textons, "-o", out).returncode, 0)
+            results = record(out)["results"]
+            self.assertLess(results["window_distance_over_variance"], 0.7 * results["window_distance_random"])
+
+    def test_an_unwritable_output_leaves_nothing(self):
+        with workplace() as folder:
+            shutil.copy(self.at("sample.json"), folder)
+            done = run("sample", os.path.join(folder, "sample.json"), "-o", os.path.join(folder, "none", "sample.vdb"))
+            self.refused(done, 3, "none")
+            self.assertEqual(os.listdir(folder), ["sample.json"])
+
+
+if __name__ == "__main__":
+    unittest.main()
