@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/vdb_file.h"
+#include "meshing/formats/vtkhdf_file.h"
+#include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/scene.h"
+#include "solvers/diffusion/polygrid_diffusion.h"
+
+using namespace shellgrid;
+
+namespace {
+
+float luminance(const Rgb& c) { return 0.2126f * c[0] + 0.7152f * c[1] + 0.0722f * c[2]; }
+
+// The surface with exitance and irradiance; `quality` is the luminance of the exitance, the colours show it with its
+// 98th percentile at white.
+AttributedMesh exitance_mesh(const TriangleMesh& surface, const DiffusionResult& result) {
+  AttributedMesh mesh{surface, {}};
+  auto add = [&](const std::string& name, const auto& value) {
+    VertexProperty property{name, std::vector<float>(result.exitance.size())};
+    for (std::size_t v = 0; v < property.values.size(); ++v) property.values[v] = value(v);
+    mesh.properties.push_back(std::move(property));
+  };
+  for (int c = 0; c < 3; ++c)
+    add(std::string("exitance_") + "rgb"[c], [&](std::size_t v) { return result.exitance[v][c]; });
+  for (int c = 0; c < 3; ++c)
+    add(std::string("irradiance_") + "rgb"[c], [&](std::size_t v) { return result.irradiance[v][c]; });
+  add("quality", [&](std::size_t v) { return luminance(result.exitance[v]); });
+  std::vector<float> sorted = mesh.properties.back().values;
+  const auto rank = sorted.begin() + static_cast<std::ptrdiff_t>(0.98 * (sorted.size() - 1));
+  std::nth_element(sorted.begin(), rank, sorted.end());
+  const float white = std::max(*rank, 1e-30f);
+  const char* names[3] = {"red", "green", "blue"};
+  for (int c = 0; c < 3; ++c)
+    add(names[c],
+        [&](std::size_t v) { return 255 * std::pow(std::min(result.exitance[v][c] / white, 1.0f), 1 / 2.2f); });
+  return mesh;
+}
+
+UnstructuredGrid fluence_grid(const Polygrid& polygrid, const std::vector<Rgb>& fluence) {
+  UnstructuredGrid grid;
+  grid.points = polygrid.points;
+  grid.connectivity.assign(polygrid.cells.data(), polygrid.cells.data() + polygrid.cells.size());
+  for (Eigen::Index cell = 0; cell <= polygrid.cells.rows(); ++cell) grid.offsets.push_back(8 * cell);
+  grid.types.assign(polygrid.cells.rows(), 12);
+  std::vector<float> values;
+  for (const Rgb& value : fluence) values.insert(values.end(), value.data(), value.data() + 3);
+  grid.point_data.push_back({"fluence", 3, std::move(values)});
+  return grid;
+}
+
+std::vector<double> channels(const Double4& a) { return {a[0], a[1], a[2]}; }
+std::vector<double> channels(const Eigen::Array3d& a) { return {a[0], a[1], a[2]}; }
+
+void record(const DiffusionResult& r, nlohmann::json& results) {
+  results["energy"] = {{"entering", channels(r.energy.entering)},
+                       {"leaving", channels(r.energy.leaving)},
+                       {"absorbed", channels(r.energy.absorbed)},
+                       {"relative_defect", channels(r.energy.relative_defect)},
+                       {"entering_by_surface", channels(r.surface_entering)},
+                       {"leaving_by_surface", channels(r.surface_leaving)}};
+  results["unknowns"] = r.solve.unknowns;
+  results["multigrid_levels"] = r.solve.level_sizes;
+  results["iterations"] = r.solve.iterations;
+  results["tolerance"] = r.solve.tolerance;
+  results["estimated_exitance_error"] = r.solve.estimated_error;
+  results["error_history"] = r.solve.error_history;
+  results["residual_history"] = r.solve.residual_history;
+  results["light_directions"] = r.light_directions;
+  results["light_skipped_facing_away"] = r.light_facing_away;
+  results["light_occluded"] = r.light_occluded;
+  results["material_samples"] = r.samples;
+  results["material_samples_in_shell"] = r.samples_from_shell;
+  results["material_samples_floored"] = r.samples_floored;
+  results["least_cells_per_mean_free_path"] = {r.cells_per_mean_free_path[0], r.cells_per_mean_free_path[1],
+                                               r.cells_per_mean_free_path[2]};
+  results["share_under_resolved"] = r.under_resolved;
+  results["share_below_diffusion_albedo"] = r.dark;
+  results["share_negative_exitance"] = r.negative_vertices;
+  results["largest_distance_surface_to_grid_mm"] = r.largest_distance;
+}
+
+// Without a shell, the scene's homogeneous core.
+Material core_material(const Scene& scene) {
+  if (!scene.material || !std::holds_alternative<Material>(scene.material->core))
+    throw InputError(scene.path + ": no homogeneous core; give shell.vdb, or material.core with coefficients");
+  return std::get<Material>(scene.material->core);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  StageProgram program("sg-diffuse",
+                       "solves the diffusion equation in the object: fluence inside, exitance at its surface");
+  std::string scene_path, polygrid_path, surface_path, shell_path, exitance_path, method = "scene", source = "scene";
+  double tolerance = 0;
+  DiffusionOptions options;
+  program.input("scene.json", scene_path, "lights, method, object.ior, and material.core where there is no shell");
+  program.input("polygrid.hdf", polygrid_path, "the object's hexahedra");
+  program.input("surface.ply", surface_path, "the object's surface");
+  program.input("shell.vdb", shell_path, "its shell of voxels and core; left out for a homogeneous object", true);
+  program.output("fluence.hdf", "hexahedra with the fluence at their points");
+  program.option("--exitance", exitance_path, "the surface with its exitance; default exitance.ply beside the output");
+  program.option("--operator", method, "elements conserves energy and is second order; paper is the 2008 one",
+                 {"scene", "elements", "paper"});
+  program.option("--source", source, "where light becomes diffuse", {"scene", "boundary", "first-collision"});
+  program.option("--tolerance", tolerance, "", "relative error of the exitance; 0: the scene's", 0, 0.5);
+  program.option("--environment-samples", options.environment_samples, "",
+                 "parallel lights that stand for an environment", 1, 65536);
+  program.example("sg-diffuse scene.json polygrid.hdf surface.ply shell.vdb -o fluence.hdf --exitance exitance.ply",
+                  "a heterogeneous object");
+  return program.run(argc, argv, [&](StageRun& run) {
+    run.start_timer("read");
+    const Scene scene = read_scene(scene_path);
+    const Polygrid polygrid = read_polygrid(polygrid_path);
+    const TriangleMesh surface = read_mesh(surface_path).mesh;
+    ShellVolume shell;
+    if (!shell_path.empty()) shell = read_shell_volume(shell_path);
+    options.operator_name = method == "scene" ? scene.method.operator_name : method;
+    options.source = source == "scene" ? scene.method.source : source;
+    options.tolerance = tolerance > 0 ? tolerance : scene.method.tolerance;
+    std::variant<const ShellVolume*, Material> material = &shell;
+    if (shell_path.empty()) material = core_material(scene);
+    const double ior = scene.object ? scene.object->ior : shell_path.empty() ? SceneObject{}.ior : shell.ior;
+
+    run.start_timer("solve");
+    const DiffusionResult result =
+        solve_polygrid_diffusion(polygrid, surface, material, ior, scene.lights, options, run.progress());
+
+    run.start_timer("write");
+    if (exitance_path.empty())
+      exitance_path = (std::filesystem::path(run.output()).parent_path() / "exitance.ply").string();
+    write_ply(exitance_path, exitance_mesh(surface, result));
+    run.note_output(exitance_path);
+    write_vtkhdf(run.output(), fluence_grid(polygrid, result.fluence));
+    record(result, run.results());
+    run.print(fmt::format("{}: {} unknowns × RGB, {} iterations, energy defect {:.1e}", run.output(),
+                          result.solve.unknowns, result.solve.iterations, result.energy.relative_defect[1]));
+  });
+}
