@@ -13,6 +13,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <csignal>
 #include <cstring>
 #include <optional>
 #include <string>
@@ -104,6 +105,12 @@ double signed_volume(const TetrahedralMesh& mesh, Eigen::Index t) {
   return (b - a).cross(c - a).dot(d - a) / 6;
 }
 
+double total_volume(const TetrahedralMesh& mesh) {
+  double volume = 0;
+  for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t) volume += signed_volume(mesh, t);
+  return volume;
+}
+
 std::optional<TetrahedralMesh> fill(const TriangleMesh& surface, double limit_seconds) {
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC) != 0)
@@ -190,6 +197,7 @@ TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const Tetrahedr
     if (std::optional<TetrahedralMesh> mesh = fill(proxy, options.limit_seconds)) {
       progress.end();
       result.mesh = std::move(*mesh);
+      result.volume = total_volume(result.mesh);
       result.surface_faces = proxy.face_count();
       result.simplified = true;
       return result;
@@ -203,6 +211,7 @@ TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const Tetrahedr
         "the surface cannot be filled with tetrahedra; expected a closed surface that does not cross itself; try "
         "sg-prepare");
   result.mesh = std::move(*mesh);
+  result.volume = total_volume(result.mesh);
   result.surface_faces = surface.face_count();
   return result;
 }

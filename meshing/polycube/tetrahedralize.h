@@ -13,6 +13,7 @@ struct TetrahedralizeOptions {
 
 struct TetrahedralizeResult {
   TetrahedralMesh mesh;
+  double volume = 0;      // mm³
   int surface_faces = 0;  // of the surface that the tetrahedra fill
   bool simplified = false;
 };

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "meshing/formats/polycube_file.h"
+#include "meshing/formats/vtkhdf_file.h"
+#include "meshing/polycube/tetrahedralize.h"
+#include "meshing/polycube/voxel_polycube.h"
+#include "pipeline/cli/stage_program.h"
+
+int main(int argc, char** argv) {
+  using namespace shellgrid;
+  StageProgram program("sg-polycube", "Approximates an object by a polycube of equal blocks.");
+  std::string input;
+  PolycubeOptions options;
+  program.input("tets.hdf", input, "tetrahedral mesh of the object");
+  program.output("polycube.hdf", "blocks with their lattice coordinates (VTKHDF)");
+  program.option("--nodes", options.nodes, "", "nodes wanted in the polygrid", 200, 2e7);
+  program.option("--cubes", options.blocks, "", "blocks wanted, where --grid is 0", 8, 1e6);
+  program.option("--grid", options.grid, "", "cells along a block's edge; 0 chooses by --cubes", 0, 256);
+  program.option("--sweeps", options.anneal_sweeps, "", "annealing sweeps over the stairs", 0, 10000);
+  program.example("sg-polycube tets.hdf -o polycube.hdf --nodes 1e5", "a polycube for 100 000 nodes");
+  return program.run(argc, argv, [&](StageRun& run) {
+    run.start_timer("read");
+    const TriangleMesh surface = boundary_of(read_tetrahedra(input));
+    run.start_timer("polycube");
+    const VoxelPolycube polycube = build_voxel_polycube(surface, options, run.progress());
+    if (polycube.genus != polycube.object_genus)
+      run.progress().warn(fmt::format("the polycube's genus is {}, the object's {}; more --nodes may find it",
+                                      polycube.genus, polycube.object_genus));
+    run.start_timer("write");
+    write_polycube(run.output(), polycube);
+    auto& results = run.results();
+    results["cubes"] = polycube.blocks.size();
+    results["cells_per_cube_edge"] = polycube.cells_per_block;
+    results["spacing"] = polycube.spacing;
+    results["object_genus"] = polycube.object_genus;
+    results["genus"] = polycube.genus;
+    results["singular_edges"] = polycube.singular_edges;
+    results["singular_corners"] = polycube.singular_corners;
+    results["coverage"] = {{"p99", polycube.coverage_p99}, {"max", polycube.coverage_max}};
+  });
+}

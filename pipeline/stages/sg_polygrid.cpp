@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <nlohmann/json.hpp>
+
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/polycube_file.h"
+#include "meshing/formats/vtkhdf_file.h"
+#include "meshing/polycube/polygrid.h"
+#include "pipeline/cli/stage_program.h"
+
+int main(int argc, char** argv) {
+  using namespace shellgrid;
+  StageProgram program("sg-polygrid", "Maps a polycube's cells into an object and weighs their links.");
+  std::string polycube_path, surface_path;
+  PolygridOptions options;
+  program.input("polycube.hdf", polycube_path, "polycube of the object");
+  program.input("surface.ply", surface_path, "the object's closed surface");
+  program.output("polygrid.hdf", "hexahedra, links and weights (VTKHDF)");
+  program.option("--layer", options.layer_thickness, "cells", "thickness of the boundary layer", 0.01, 0.5);
+  program.example("sg-polygrid polycube.hdf surface.ply -o polygrid.hdf", "the polygrid of a prepared surface");
+  return program.run(argc, argv, [&](StageRun& run) {
+    run.start_timer("read");
+    const VoxelPolycube polycube = read_polycube(polycube_path);
+    const TriangleMesh surface = read_mesh(surface_path).mesh;
+    run.start_timer("map");
+    const Polygrid polygrid = build_polygrid(polycube, surface, options, run.progress());
+    run.start_timer("measure");
+    const PolygridQuality quality = measure_polygrid(polygrid, polycube, surface);
+    run.start_timer("write");
+    write_polygrid(run.output(), polygrid);
+    const std::string view = run.output().substr(0, run.output().rfind('.')) + ".view.ply";
+    write_ply(view, polygrid_view(polygrid));
+    run.note_output(view);
+    auto& results = run.results();
+    results["nodes"] = quality.nodes;
+    results["cubes"] = quality.cubes;
+    results["genus"] = quality.genus;
+    results["inverted_cells"] = quality.inverted_cells;
+    results["scaled_jacobian"] = {{"min", quality.scaled_jacobian_min}, {"mean", quality.scaled_jacobian_mean}};
+    results["link_length_cv"] = quality.link_length_cv;
+    results["link_angle"] = {{"mean", quality.link_angle_mean}, {"max", quality.link_angle_max}};
+    results["layer_thickness"] = quality.layer_thickness_mean;
+    results["boundary_distance"] = {{"max", quality.boundary_distance_max},
+                                    {"max_mm", quality.boundary_distance_max * polygrid.spacing},
+                                    {"points_off_surface", quality.off_surface}};
+    results["coverage"] = {{"p99", quality.coverage_p99}, {"max", quality.coverage_max}};
+    results["weights"] = {
+        {"condition", {{"median", quality.weight_condition_median}, {"max", quality.weight_condition_max}}},
+        {"singular", quality.singular_weights}};
+    results["spacing"] = polygrid.spacing;
+  });
+}
