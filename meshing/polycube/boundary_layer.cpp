@@ -12,6 +12,10 @@ namespace {
 
 // Relative to the target volume of a cell: what counts as inverted while there is a choice.
 constexpr double jacobian_margin = 1e-3;
+// Cells below this are improved.
+constexpr double poor_scaled_jacobian = 0.1;
+// Outer points farther from the surface than this, in cells, are drawn back to it.
+constexpr double surface_tolerance = 2e-3;
 
 std::size_t cell_count(const LayeredGrid& grid) { return grid.core.cells.size() + grid.layer.size(); }
 
@@ -67,7 +71,9 @@ class LayerRepair {
 
   // One round on the given cells and `rings` around them: untangle, then improve without inverting.
   void mend(const std::vector<std::int32_t>& bad, int rings, double surface_weight) {
-    for (std::int32_t c : bad) weight_[c] = std::min(100.0, weight_[c] * 2);
+    for (std::int32_t c : bad)
+      if (scaled_jacobian(grid_.points, cell_at(grid_, c)) < poor_scaled_jacobian)
+        weight_[c] = std::min(64.0, weight_[c] * 2);
     std::vector<std::uint8_t> chosen(cell_count(grid_), 0);
     std::vector<std::int32_t> region = bad, front = bad;
     for (std::int32_t c : bad) chosen[c] = 1;
@@ -133,6 +139,28 @@ class LayerRepair {
     }
     for (std::size_t p = 0; p < global.size(); ++p) grid_.points.row(global[p]) = points.row(p);
     grid_.core.points = grid_.points.topRows(grid_.core.points.rows());
+  }
+
+  // Cells of poor shape, and those at outer points that are off the surface.
+  std::vector<std::int32_t> cells_to_improve() const {
+    std::vector<std::uint8_t> poor(cell_count(grid_));
+    parallel_for(poor.size(), [&](std::size_t c) {
+      poor[c] = scaled_jacobian(grid_.points, cell_at(grid_, c)) < poor_scaled_jacobian;
+    });
+    std::vector<std::uint8_t> off(grid_.twin.size());
+    parallel_for(off.size(), [&](std::size_t outer) {
+      const Vec3 place = grid_.points.row(grid_.core.points.rows() + static_cast<Eigen::Index>(outer)).transpose();
+      off[outer] = surface_.nearest(place / scale_).distance * scale_ > surface_tolerance;
+    });
+    for (std::size_t outer = 0; outer < off.size(); ++outer) {
+      const std::size_t p = static_cast<std::size_t>(grid_.core.points.rows()) + outer;
+      for (std::int32_t n = incidence_.first[p]; off[outer] && n < incidence_.first[p + 1]; ++n)
+        poor[incidence_.cells[n]] = 1;
+    }
+    std::vector<std::int32_t> result;
+    for (std::size_t c = 0; c < poor.size(); ++c)
+      if (poor[c]) result.push_back(static_cast<std::int32_t>(c));
+    return result;
   }
 
   // Moves outer points onto the surface, each only as far as its cells stay valid.
@@ -213,6 +241,20 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
     if (round >= 2) weight = std::max(0.5, weight / 2.5);
   }
   repair.snap();
+  // What mending left off the surface or badly shaped, at a growing pull of the surface; valid cells stay valid.
+  if (cells_below(grid, thickness, jacobian_margin).empty())
+    for (int round = 0; round < 4; ++round) {
+      const std::vector<std::int32_t> poor = repair.cells_to_improve();
+      if (poor.empty()) break;
+      const VertexMatrix before = grid.points;
+      repair.mend(poor, 3, 256 * std::pow(2.5, round));
+      if (!cells_below(grid, thickness, jacobian_margin).empty()) {
+        grid.points = before;
+        grid.core.points = before.topRows(grid.core.points.rows());
+        break;
+      }
+      repair.snap();
+    }
   progress.end();
   return grid;
 }
