@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""What all programs share: exit codes, one clear line, odd names, records, progress, no half-written files."""
+import json
+import os
+import pty
+import resource
+import shutil
+import signal
+import subprocess
+import time
+import unittest
+
+from programs import BIN, icosphere, run, torus, workplace, write_off
+
+ODD_NAMES = ["$(shell touch x).ply", "a b.ply", "#.ply", "it's.ply", '"q".ply', "`touch x`.ply", "new\nline.ply", "ünï.ply",
+             "[1].ply", "a,b.ply", "{}.ply", "%s.ply"]
+
+
+class CommandLineTest(unittest.TestCase):
+    def setUp(self):
+        place = workplace()
+        self.addCleanup(place.cleanup)
+        self.root = place.name
+        write_off(self.path("ball.off"), icosphere(2))
+
+    def path(self, name):
+        return os.path.join(self.root, name)
+
+    def prepare(self, *arguments, **options):
+        return run("prepare", *arguments, cwd=self.root, **options)
+
+    def assert_refused(self, done, code, *parts):
+        self.assertEqual(done.returncode, code, done.stderr)
+        self.assertEqual(done.stderr.count("\n"), 1, done.stderr)
+        self.assertTrue(done.stderr.startswith("sg-prepare: error: "), done.stderr)
+        for part in parts:
+            self.assertIn(part, done.stderr)
+        self.assertEqual([name for name in os.listdir(self.root) if "partial" in name], [])
+
+    def test_usage_errors_are_2_and_suggest(self):
+        self.assert_refused(self.prepare(), 2, "missing", "usage: sg-prepare")
+        self.assert_refused(self.prepare("ball.off"), 2, "missing -o")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--sise", "3"), 2, "--sise; did you mean --size?")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--size", "big"), 2, "--size", "not a number")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--size", "nan"), 2, "not a number")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--size", "-3"), 2, "out of range")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--threads", "1.5"), 2, "whole number")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--progress", "alway"), 2, "did you mean always?")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--size"), 2, "--size")
+        self.assert_refused(self.prepare("ball.off", "ball.off", "-o", "s.ply"), 2, "unexpected argument")
+        self.assert_refused(self.prepare("ball.off", "-o", "ball.off"), 2, "would overwrite the input")
+        os.symlink("ball.off", self.path("link.off"))
+        self.assert_refused(self.prepare("ball.off", "-o", "link.off"), 2, "would overwrite the input")
+
+    def test_bad_input_and_output_are_3_before_any_work(self):
+        self.assert_refused(self.prepare("gone.off", "-o", "s.ply"), 3, "gone.off: No such file")
+        self.assert_refused(self.prepare(".", "-o", "s.ply"), 3, "is a folder")
+        self.assert_refused(self.prepare("ball.off", "-o", "none/s.ply"), 3, "there is no folder none")
+        self.assert_refused(self.prepare("ball.off", "-o", "."), 3, "is a folder")
+        self.assert_refused(self.prepare("bad\n\x1b[1m.off", "-o", "s.ply"), 3, "bad \\x1b[1m.off")
+        self.assertEqual(sorted(os.listdir(self.root)), ["ball.off"])
+
+    @unittest.skipIf(os.geteuid() == 0, "root may write everywhere")
+    def test_an_unwritable_folder_is_3(self):
+        os.mkdir(self.path("locked"), 0o555)
+        self.assert_refused(self.prepare("ball.off", "-o", "locked/s.ply"), 3, "locked")
+
+    def test_too_little_memory_is_3_in_clear_words(self):
+        def little():
+            resource.setrlimit(resource.RLIMIT_AS, (120 << 20, 120 << 20))
+        write_off(self.path("fine.off"), torus(around=600, across=600))
+        done = self.prepare("fine.off", "-o", "s.ply", "--spacing", "0.02", preexec=little)
+        if done.returncode == 127:
+            self.skipTest("the libraries do not load in so little memory")
+        self.assertIn(done.returncode, (1, 3), done.stderr)
+        self.assertFalse(os.path.exists(self.path("s.ply")))
+
+    def test_odd_names_are_names(self):
+        for name in ODD_NAMES:
+            with self.subTest(name):
+                shutil.copy(self.path("ball.off"), self.path(name[:-4] + ".off"))
+                done = self.prepare(name[:-4] + ".off", "-o", name, "--spacing", "20", "-q")
+                self.assertEqual(done.returncode, 0, done.stderr)
+                with open(self.path(name + ".json")) as file:
+                    record = json.load(file)
+                self.assertEqual(record["inputs"][0]["path"], name[:-4] + ".off")
+                again = subprocess.run(["sh", "-c", record["command"]], cwd=self.root, capture_output=True, text=True,
+                                       env={**os.environ, "PATH": BIN + ":" + os.environ["PATH"]})
+                self.assertEqual(again.returncode, 0, again.stderr)
+        self.assertFalse(os.path.exists(self.path("x")))
+        shutil.copy(self.path("ball.off"), self.path("-x.off"))
+        done = self.prepare("-o", "-y.ply", "--spacing", "20", "--", "-x.off")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertTrue(os.path.exists(self.path("-y.ply")))
+
+    def test_the_record_tells_how_the_output_came_about(self):
+        done = self.prepare("ball.off", "-o", "s.ply", "--size", "1e2", "--spacing", "2e1", "--threads", "1", "--seed", "7")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        with open(self.path("s.ply.json")) as file:
+            record = json.load(file)
+        for key in ("stage", "version", "command", "inputs", "options", "threads", "seconds", "peak_memory_mib", "results",
+                    "warnings"):
+            self.assertIn(key, record)
+        self.assertEqual(record["stage"], "sg-prepare")
+        self.assertEqual(record["options"]["size"], 100)
+        self.assertEqual(record["options"]["seed"], 7)
+        self.assertEqual(record["threads"], 1)
+        self.assertEqual(record["inputs"][0]["bytes"], os.path.getsize(self.path("ball.off")))
+        self.assertEqual(record["outputs"][0]["bytes"], os.path.getsize(self.path("s.ply")))
+        self.assertRegex(record["inputs"][0]["xxh64"], "^[0-9a-f]{16}$")
+        self.assertGreater(record["seconds"]["total"], 0)
+        self.assertGreater(record["peak_memory_mib"], 1)
+        self.assertGreaterEqual(os.stat(self.path("s.ply.json")).st_mtime_ns, os.stat(self.path("s.ply")).st_mtime_ns)
+
+    def test_progress_shows_on_a_terminal_only(self):
+        arguments = ["ball.off", "-o", "s.ply", "--spacing", "5"]
+        self.assertNotIn("\r", self.prepare(*arguments).stderr)
+        lines = self.prepare(*arguments, "--progress", "json").stderr.splitlines()
+        self.assertGreater(len(lines), 0)
+        for line in lines:
+            if not line.startswith("sg-prepare: warning"):
+                self.assertIn("task", json.loads(line))
+        self.assertIn("\r", self.prepare(*arguments, "--progress", "always").stderr)
+        leader, follower = pty.openpty()
+        done = subprocess.run([os.path.join(BIN, "sg-prepare"), *arguments], cwd=self.root, stderr=follower)
+        os.close(follower)
+        self.assertEqual(done.returncode, 0)
+        self.assertIn(b"\r", os.read(leader, 1 << 16))
+        os.close(leader)
+
+    def test_a_terminated_run_leaves_nothing(self):
+        write_off(self.path("fine.off"), torus(around=400, across=400))
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL):
+            for delay in (0.05, 0.3):
+                with self.subTest((number, delay)):
+                    process = subprocess.Popen([os.path.join(BIN, "sg-prepare"), "fine.off", "-o", "s.ply", "--spacing",
+                                                "0.3"], cwd=self.root, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+                    time.sleep(delay)
+                    process.send_signal(number)
+                    self.assertEqual(process.wait(), -number)
+                    self.assertFalse(os.path.exists(self.path("s.ply")))
+                    self.assertFalse(os.path.exists(self.path("s.ply.json")))
+
+    def test_a_full_standard_output_is_an_error(self):
+        with open("/dev/full", "w") as full:
+            done = subprocess.run([os.path.join(BIN, "sg-prepare"), "--help"], stdout=full, stderr=subprocess.PIPE, text=True)
+        self.assertEqual(done.returncode, 3)
+        self.assertIn("standard output", done.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main()
