@@ -122,7 +122,7 @@ struct StageProgram::Impl {
 };
 
 StageProgram::StageProgram(const std::string& name, const std::string& summary) : impl_(std::make_unique<Impl>()) {
-  impl_->table.name = name;
+  impl_->table.name = name.starts_with("sg-") ? name : "sg-" + name;
   impl_->table.summary = summary;
 }
 

@@ -34,6 +34,7 @@ class StageRun {
 // peak_memory_mib results{…} warnings[].
 class StageProgram {
  public:
+  // `name` with or without the sg- before it.
   StageProgram(const std::string& name, const std::string& summary);
   ~StageProgram();
 

@@ -69,7 +69,7 @@ class CommandLineTest(unittest.TestCase):
         def little():
             resource.setrlimit(resource.RLIMIT_AS, (120 << 20, 120 << 20))
         write_off(self.path("fine.off"), torus(around=600, across=600))
-        done = self.prepare("fine.off", "-o", "s.ply", "--spacing", "0.02", preexec=little)
+        done = self.prepare("fine.off", "-o", "s.ply", "--size", "80", "--spacing", "0.3", preexec=little)
         if done.returncode == 127:
             self.skipTest("the libraries do not load in so little memory")
         self.assertIn(done.returncode, (1, 3), done.stderr)
@@ -79,7 +79,7 @@ class CommandLineTest(unittest.TestCase):
         for name in ODD_NAMES:
             with self.subTest(name):
                 shutil.copy(self.path("ball.off"), self.path(name[:-4] + ".off"))
-                done = self.prepare(name[:-4] + ".off", "-o", name, "--spacing", "20", "-q")
+                done = self.prepare(name[:-4] + ".off", "-o", name, "--size", "80", "--spacing", "15", "-q")
                 self.assertEqual(done.returncode, 0, done.stderr)
                 with open(self.path(name + ".json")) as file:
                     record = json.load(file)
@@ -89,12 +89,12 @@ class CommandLineTest(unittest.TestCase):
                 self.assertEqual(again.returncode, 0, again.stderr)
         self.assertFalse(os.path.exists(self.path("x")))
         shutil.copy(self.path("ball.off"), self.path("-x.off"))
-        done = self.prepare("-o", "-y.ply", "--spacing", "20", "--", "-x.off")
+        done = self.prepare("-o", "-y.ply", "--size", "80", "--spacing", "15", "--", "-x.off")
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertTrue(os.path.exists(self.path("-y.ply")))
 
     def test_the_record_tells_how_the_output_came_about(self):
-        done = self.prepare("ball.off", "-o", "s.ply", "--size", "1e2", "--spacing", "2e1", "--threads", "1", "--seed", "7")
+        done = self.prepare("ball.off", "-o", "s.ply", "--size", "1e2", "--spacing", "1.5e1", "--threads", "1", "--seed", "7")
         self.assertEqual(done.returncode, 0, done.stderr)
         with open(self.path("s.ply.json")) as file:
             record = json.load(file)
@@ -113,14 +113,14 @@ class CommandLineTest(unittest.TestCase):
         self.assertGreaterEqual(os.stat(self.path("s.ply.json")).st_mtime_ns, os.stat(self.path("s.ply")).st_mtime_ns)
 
     def test_progress_shows_on_a_terminal_only(self):
-        arguments = ["ball.off", "-o", "s.ply", "--spacing", "5"]
-        self.assertNotIn("\r", self.prepare(*arguments).stderr)
+        arguments = ["ball.off", "-o", "s.ply", "--size", "80", "--spacing", "5"]
+        self.assertNotIn("\x1b", self.prepare(*arguments).stderr)
         lines = self.prepare(*arguments, "--progress", "json").stderr.splitlines()
         self.assertGreater(len(lines), 0)
         for line in lines:
             if not line.startswith("sg-prepare: warning"):
                 self.assertIn("task", json.loads(line))
-        self.assertIn("\r", self.prepare(*arguments, "--progress", "always").stderr)
+        self.assertIn("\x1b[K", self.prepare(*arguments, "--progress", "always").stderr)
         leader, follower = pty.openpty()
         done = subprocess.run([os.path.join(BIN, "sg-prepare"), *arguments], cwd=self.root, stderr=follower)
         os.close(follower)
@@ -133,8 +133,9 @@ class CommandLineTest(unittest.TestCase):
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL):
             for delay in (0.05, 0.3):
                 with self.subTest((number, delay)):
-                    process = subprocess.Popen([os.path.join(BIN, "sg-prepare"), "fine.off", "-o", "s.ply", "--spacing",
-                                                "0.3"], cwd=self.root, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+                    process = subprocess.Popen(
+                        [os.path.join(BIN, "sg-prepare"), "fine.off", "-o", "s.ply", "--size", "80", "--spacing", "0.3"],
+                        cwd=self.root, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
                     time.sleep(delay)
                     process.send_signal(number)
                     self.assertEqual(process.wait(), -number)
