@@ -17,7 +17,7 @@ int main(int argc, char** argv) {
   std::string description;
   double voxel = 0.4, thickness = 4, ior = 1.5;
   bool strict = false;
-  StageProgram program("sample", "Makes the base volume: a small tilable block of material.");
+  StageProgram program("sg-sample", "Makes the base volume: a small tilable block of material.");
   program.input("sample.json", description, "description of the sample, or a volume (.vdb)");
   program.output("sample.vdb", "the base volume");
   program.option("--voxel", voxel, "mm", "edge of a voxel, instead of the description's", 1e-6, 1e4);

@@ -18,7 +18,7 @@ int main(int argc, char** argv) {
   std::string mesh_path, distance_path, sample_path;
   double thickness = 4;
   std::vector<double> absorption, scattering, anisotropy;
-  StageProgram program("shell", "Resamples the synthesised shell on a regular two-level grid.");
+  StageProgram program("sg-shell", "Resamples the synthesised shell on a regular two-level grid.");
   program.input("synthesized.ply", mesh_path, "surface with texture coordinates, from sg-synthesize");
   program.input("distance.vdb", distance_path, "distance field of the same surface, from sg-distance");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");

@@ -17,7 +17,7 @@ int main(int argc, char** argv) {
   SynthesisOptions options;
   std::vector<double> direction = {0, 1, 0};
   double voxel = 0;
-  StageProgram program("synthesize", "Grows a sample over a surface: a texture coordinate for every vertex.");
+  StageProgram program("sg-synthesize", "Grows a sample over a surface: a texture coordinate for every vertex.");
   program.input("surface.ply", surface_path, "mesh with vertices a voxel apart, from sg-prepare");
   program.input("textons.vdb", textons_path, "how the sample looks, from sg-textons");
   program.output("synthesized.ply", "the mesh with texture_u, texture_v, direction_x/y/z and colours");

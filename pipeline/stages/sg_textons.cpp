@@ -13,7 +13,7 @@ using namespace shellgrid;
 int main(int argc, char** argv) {
   std::string sample_path, method = "appearance";
   TextonOptions options;
-  StageProgram program("textons", "Describes how each texel of a sample and its surroundings look.");
+  StageProgram program("sg-textons", "Describes how each texel of a sample and its surroundings look.");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
   program.output("textons.vdb", "appearance vectors, textons and candidate sets");
   program.option("--method", method, "what synthesis compares: appearance vectors, or textons as the paper does",
