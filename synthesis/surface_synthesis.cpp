@@ -14,6 +14,7 @@ namespace shellgrid {
 namespace {
 
 constexpr int slot_count = 8;
+constexpr float reach_texels = 1.5f;  // how near continuations must agree to count as one patch, texels of the level
 const std::array<Vec2f, slot_count> slot_offsets = {Vec2f(1, 0),  Vec2f(1, 1),   Vec2f(0, 1),  Vec2f(-1, 1),
                                                     Vec2f(-1, 0), Vec2f(-1, -1), Vec2f(0, -1), Vec2f(1, -1)};
 
@@ -86,10 +87,12 @@ class Synthesizer {
       const int passes = l == coarsest ? std::max(options_.coarse_passes, l == 0 ? options_.final_passes : 0)
                          : l == 0      ? options_.final_passes
                                        : options_.passes;
-      for (int pass = 0; pass < passes; ++pass)
+      for (int pass = 0; pass < passes; ++pass) {
         for (const std::vector<std::int32_t>& group : level.groups)
           parallel_for(
               group.size(), [&](std::size_t i) { correct(level, l, group[i]); }, 64);
+        relax(level, l);
+      }
       if (l == 0) measure_coherence(level);
       progress.advance();
     }
@@ -104,6 +107,15 @@ class Synthesizer {
       if (!(c[axis] < n)) c[axis] = 0;
     }
     return c;
+  }
+  // The shortest way from b to a on the torus of texels.
+  Vec2f difference(const Vec2f& a, const Vec2f& b) const {
+    Vec2f d = a - b;
+    for (int axis = 0; axis < 2; ++axis) {
+      const float n = static_cast<float>(size_[axis]);
+      d[axis] -= n * std::round(d[axis] / n);
+    }
+    return d;
   }
   // The coordinate must be wrapped.
   int texel(const Vec2f& c) const { return static_cast<int>(c.y()) * size_.x() + static_cast<int>(c.x()); }
@@ -199,6 +211,28 @@ class Synthesizer {
     result_.coordinate[v] = wrap(best);
   }
 
+  // Within a patch, moves every coordinate to the mean of what its neighbours' continuations say, so that rounding and
+  // the mesh's irregularity do not fray the edges of what the patch shows. Patches stay apart.
+  void relax(const SynthesisLevel& level, int l) {
+    const float reach = std::ldexp(reach_texels, l);  // neighbours farther off show another patch
+    std::vector<Vec2f> moved(level.vertices.size());
+    for (int sweep = 0; sweep < options_.relaxation_sweeps; ++sweep) {
+      parallel_for(level.vertices.size(), [&](std::size_t i) {
+        const Vec2f own = result_.coordinate[level.vertices[i]];
+        Vec2f sum = Vec2f::Zero();
+        float weight = 1;
+        for (int s = 0; s < slot_count; ++s) {
+          const TangentNeighbour& neighbour = level.neighbours[i * slot_count + s];
+          if (neighbour.vertex < 0) continue;
+          const Vec2f step = difference(result_.coordinate[neighbour.vertex] - neighbour.rotate(neighbour.offset), own);
+          if (step.cwiseAbs().maxCoeff() < reach) sum += step, weight += 1;
+        }
+        moved[i] = wrap(own + sum / weight);
+      });
+      for (std::size_t i = 0; i < level.vertices.size(); ++i) result_.coordinate[level.vertices[i]] = moved[i];
+    }
+  }
+
   void measure_coherence(const SynthesisLevel& level) {
     result_.coherence.assign(level.vertices.size(), 1.0f);
     parallel_for(level.vertices.size(), [&](std::size_t i) {
@@ -206,14 +240,10 @@ class Synthesizer {
       for (int s = 0; s < slot_count; ++s) {
         const TangentNeighbour& neighbour = level.neighbours[i * slot_count + s];
         if (neighbour.vertex < 0) continue;
-        Vec2f difference = result_.coordinate[neighbour.vertex] - neighbour.rotate(neighbour.offset) -
-                           result_.coordinate[level.vertices[i]];
-        for (int axis = 0; axis < 2; ++axis) {
-          const float n = static_cast<float>(size_[axis]);
-          difference[axis] -= n * std::round(difference[axis] / n);
-        }
+        const Vec2f step = difference(result_.coordinate[neighbour.vertex] - neighbour.rotate(neighbour.offset),
+                                      result_.coordinate[level.vertices[i]]);
         ++used;
-        coherent += difference.cwiseAbs().maxCoeff() < 1.0f;
+        coherent += step.cwiseAbs().maxCoeff() < 1.0f;
       }
       if (used > 0) result_.coherence[level.vertices[i]] = static_cast<float>(coherent) / static_cast<float>(used);
     });

@@ -14,6 +14,7 @@ struct SynthesisOptions {
   int final_passes = 4;               // at the finest
   double jitter = 0.4;                // of upsampled coordinates, in texels of the level
   int least_jitter_level = 2;         // finer levels are not jittered
+  int relaxation_sweeps = 2;          // of coordinates within a patch, after each correction pass
   double incoherence_penalty = 1.05;  // factor on the distance of candidates that do not continue a neighbour
   Vec3 direction = Vec3(0, 1, 0);     // the texture's u runs this way where the surface allows
   std::uint64_t seed = 0;

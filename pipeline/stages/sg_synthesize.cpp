@@ -25,6 +25,8 @@ int main(int argc, char** argv) {
   program.option("--direction", direction, "", "the texture's u runs this way where the surface allows");
   program.option("--passes", options.passes, "", "correction passes at each level but the finest", 0, 100);
   program.option("--final-passes", options.final_passes, "", "correction passes at the finest level", 0, 100);
+  program.option("--relaxation", options.relaxation_sweeps, "", "smoothing sweeps within patches after each pass", 0,
+                 100);
   program.option("--jitter", options.jitter, "texels", "random shift of coordinates at coarse levels", 0, 10);
   program.example("sg-synthesize surface.ply textons.vdb -o synthesized.ply", "then look at it with MeshLab");
   return program.run(argc, argv, [&](StageRun& run) {
