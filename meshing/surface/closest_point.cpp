@@ -6,6 +6,9 @@
 
 #include "meshing/core/parallel.h"
 
+// Lanes are passed within this file only, so it does not matter in which registers.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
 namespace shellgrid {
 namespace {
 
