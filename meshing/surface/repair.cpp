@@ -237,16 +237,24 @@ int turn_faces(TriangleMesh& mesh) {
 
 // Fills every loop of boundary edges. Faces already agree.
 int fill_holes(TriangleMesh& mesh) {
+  const std::vector<EdgeUse> uses = collect_edges(mesh.faces);
   std::vector<int> next(mesh.vertex_count(), -1);
   std::vector<char> branching(mesh.vertex_count(), 0);
-  for_each_edge(collect_edges(mesh.faces), [&](const EdgeUse* use, int count) {
+  for_each_edge(uses, [&](const EdgeUse* use, int count) {
     if (count != 1) return;
     // The hole's side of the edge runs against the face's.
     const int from = use->forward ? use->b : use->a, to = use->forward ? use->a : use->b;
     if (next[from] >= 0) branching[from] = 1;
     next[from] = to;
   });
+  const auto has_edge = [&](int u, int v) {
+    const auto at = std::lower_bound(
+        uses.begin(), uses.end(), std::minmax(u, v),
+        [](const EdgeUse& x, const auto& edge) { return x.a != edge.first ? x.a < edge.first : x.b < edge.second; });
+    return at != uses.end() && at->a == std::min(u, v) && at->b == std::max(u, v);
+  };
   std::vector<Eigen::Vector3i> patches;
+  std::vector<Vec3> centres;
   int closed = 0;
   for (int start = 0; start < mesh.vertex_count(); ++start) {
     if (next[start] < 0) continue;
@@ -263,17 +271,33 @@ int fill_holes(TriangleMesh& mesh) {
     if (v != start || !simple || loop.size() < 3) continue;
     std::vector<Vec3> polyline;
     for (const int i : loop) polyline.push_back(mesh.vertex(i));
-    const std::vector<Eigen::Vector3i> patch = triangulate_hole(polyline);
-    if (patch.empty()) continue;
-    // The triangulation keeps the polyline's sense or reverses it as a whole.
     const int size = static_cast<int>(loop.size());
-    bool keeps_sense = false;
+    std::vector<Eigen::Vector3i> patch = triangulate_hole(polyline);
+    bool usable = !patch.empty(), keeps_sense = false;
     for (const Eigen::Vector3i& t : patch)
-      for (int k = 0; k < 3; ++k) keeps_sense |= t[k] == 0 && t[(k + 1) % 3] == 1 % size;
-    for (const Eigen::Vector3i& t : patch)
-      patches.emplace_back(loop[t[0]], loop[keeps_sense ? t[1] : t[2]], loop[keeps_sense ? t[2] : t[1]]);
+      for (int k = 0; k < 3; ++k) {
+        const int u = t[k], v = t[(k + 1) % 3];
+        // The triangulation keeps the polyline's sense or reverses it as a whole.
+        keeps_sense |= u == 0 && v == 1;
+        const bool on_loop = (u + 1) % size == v || (v + 1) % size == u;
+        usable &= on_loop || !has_edge(loop[u], loop[v]);
+      }
+    if (usable) {
+      for (const Eigen::Vector3i& t : patch)
+        patches.emplace_back(loop[t[0]], loop[keeps_sense ? t[1] : t[2]], loop[keeps_sense ? t[2] : t[1]]);
+    } else {  // the patch would meet edges that are there already: a fan about the middle meets none
+      Vec3 sum = Vec3::Zero();
+      for (const Vec3& p : polyline) sum += p;
+      const int centre = mesh.vertex_count() + static_cast<int>(centres.size());
+      centres.push_back(sum / size);
+      for (int i = 0; i < size; ++i) patches.emplace_back(loop[i], loop[(i + 1) % size], centre);
+    }
     ++closed;
   }
+  const Eigen::Index first_centre = mesh.vertices.rows();
+  mesh.vertices.conservativeResize(first_centre + static_cast<Eigen::Index>(centres.size()), 3);
+  for (std::size_t i = 0; i < centres.size(); ++i)
+    mesh.vertices.row(first_centre + static_cast<Eigen::Index>(i)) = centres[i].transpose();
   const Eigen::Index first = mesh.faces.rows();
   mesh.faces.conservativeResize(first + static_cast<Eigen::Index>(patches.size()), 3);
   for (std::size_t i = 0; i < patches.size(); ++i)

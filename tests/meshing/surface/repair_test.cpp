@@ -127,6 +127,29 @@ TEST(Repair, ClosesHolesOnRequest) {
   EXPECT_EQ(find_self_intersections(repaired).pairs, 0);
 }
 
+TEST(Repair, ClosesHolesBesideEarsWithoutDoublingTheirEdges) {
+  // A tube, closed below by a cone; every other edge of its upper rim carries an ear that stands up.
+  const int n = 8;
+  std::vector<Vec3> v;
+  std::vector<Eigen::Vector3i> f;
+  for (int i = 0; i < n; ++i) {
+    const double angle = 2 * std::numbers::pi * i / n;
+    v.emplace_back(std::cos(angle), std::sin(angle), 0);
+    f.emplace_back((i + 1) % n, i, n);
+  }
+  v.emplace_back(0, 0, -1);
+  for (int i = 0; i < n; i += 2) {
+    f.emplace_back(i, i + 1, static_cast<int>(v.size()));
+    v.push_back(0.6 * (v[i] + v[i + 1]) + Vec3(0, 0, 0.3));
+  }
+  RepairReport report;
+  const TriangleMesh repaired = repair_surface(from_lists(v, f), true, report);
+  EXPECT_EQ(report.closed_holes, 1);
+  EXPECT_EQ(repaired.vertex_count(), static_cast<int>(v.size()) + 1);  // filled by a fan
+  EXPECT_EQ(genus(repaired), 0);
+  EXPECT_EQ(find_self_intersections(repaired).pairs, 0);
+}
+
 TEST(Repair, RefusesTwoComponentsAndSaysWhere) {
   const std::string apart =
       refusal(shapes::joined(shapes::sphere(1, 1), shapes::moved(shapes::sphere(1, 1), {5, 0, 0})));
