@@ -40,6 +40,12 @@ def number(value):
     return text
 
 
+def sentence(text):
+    """A summary as a table shows it: no capital, no full stop."""
+    text = text.rstrip(".")
+    return text if text[1:2].isupper() else text[:1].lower() + text[1:]
+
+
 def default(option):
     value = option.get("default")
     if value is None:
@@ -74,7 +80,7 @@ def stages_table():
         reads = "; ".join("%s: %s%s" % (i["name"], i["help"], " (optional)" if i["optional"] else "") for i in program["inputs"])
         out = program.get("output")
         rows.append("| `%s` | %s | %s | %s |" % (program["name"], cell(reads), cell(out["help"]) if out else "standard output",
-                                                  cell(program["summary"])))
+                                                  cell(sentence(program["summary"]))))
     return "\n".join(rows)
 
 

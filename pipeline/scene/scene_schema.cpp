@@ -7,6 +7,7 @@
 
 #include "meshing/core/error.h"
 #include "pipeline/cli/option_table.h"
+#include "pipeline/scene/named_materials.h"
 
 namespace shellgrid {
 namespace {
@@ -47,6 +48,12 @@ SceneKey colour(const std::string& place, const std::string& unit, const nlohman
   return {place, KeyType::colour, unit, otherwise, 0, most, false, {}, help};
 }
 
+std::string known_materials() {
+  std::string names;
+  for (const NamedMaterial& material : named_materials()) names += (names.empty() ? "" : ", ") + material.name;
+  return names;
+}
+
 std::vector<SceneKey> make_schema() {
   using nlohmann::json;
   const json none = nullptr;
@@ -72,7 +79,15 @@ std::vector<SceneKey> make_schema() {
        {},
        "below the shell, or the whole homogeneous object: `\"bottom-layer\"` (the mean of the sample's bottom layer), "
        "a named material, or coefficients; required without a shell"},
-      {"material.core.named", KeyType::name, "", none, 0, 0, false, {}, "a measured material"},
+      {"material.core.named",
+       KeyType::name,
+       "",
+       none,
+       0,
+       0,
+       false,
+       {},
+       "a measured material [Jensen2001]: " + known_materials()},
       colour("material.core.absorption", "mm⁻¹", none, 1e6, "absorption coefficient"),
       colour("material.core.scattering", "mm⁻¹", none, 1e6, "scattering coefficient"),
       {"material.core.anisotropy",
