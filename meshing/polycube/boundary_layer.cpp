@@ -205,10 +205,11 @@ class LayerRepair {
 
 std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid) { return cells_below(grid, 1.0, 0.0); }
 
-LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, double scale, double thickness,
-                               Progress& progress) {
+namespace {
+
+// Core and layer with the outer points still at their twins.
+LayeredGrid with_flat_layer(LatticeGrid core) {
   LayeredGrid grid;
-  const VertexMatrix normals = boundary_normals(core);
   std::vector<std::int32_t> outer_of(core.points.rows(), -1);
   for (const auto& quad : core.boundary_quads)
     for (std::int32_t p : quad.corners) outer_of[p] = 0;
@@ -224,6 +225,36 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
   grid.core = std::move(core);
   grid.points.resize(grid.core.points.rows() + static_cast<Eigen::Index>(grid.twin.size()), 3);
   grid.points.topRows(grid.core.points.rows()) = grid.core.points;
+  for (std::size_t outer = 0; outer < grid.twin.size(); ++outer)
+    grid.points.row(grid.core.points.rows() + static_cast<Eigen::Index>(outer)) =
+        grid.core.points.row(grid.twin[outer]);
+  return grid;
+}
+
+}  // namespace
+
+LayeredGrid layer_on_lattice(const std::vector<Vec3i>& blocks, int refinement, const TargetSurface& surface,
+                             double scale, double thickness) {
+  LayeredGrid grid = with_flat_layer(refine_blocks(blocks, refinement));
+  const VertexMatrix normals = boundary_normals(grid.core);
+  for (std::size_t outer = 0; outer < grid.twin.size(); ++outer) {
+    // One step along each axis that a boundary face looks to: seen by all of them unless two look at each other.
+    const Vec3 step = normals.row(grid.twin[outer]).transpose().array().sign().matrix();
+    grid.points.row(grid.core.points.rows() + static_cast<Eigen::Index>(outer)) += thickness * step.transpose();
+  }
+  LayerRepair repair(grid, surface, scale, thickness);
+  for (int round = 0; round < 12; ++round) {
+    const std::vector<std::int32_t> bad = cells_below(grid, thickness, jacobian_margin);
+    if (bad.empty()) break;
+    repair.mend(bad, 2, 0);
+  }
+  return grid;
+}
+
+LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, double scale, double thickness,
+                               Progress& progress) {
+  LayeredGrid grid = with_flat_layer(std::move(core));
+  const VertexMatrix normals = boundary_normals(grid.core);
   parallel_for(grid.twin.size(), [&](std::size_t outer) {
     const Vec3 place = grid.core.points.row(grid.twin[outer]).transpose();
     const Vec3 facing = outer_normal(grid, normals, outer);

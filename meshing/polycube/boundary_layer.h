@@ -22,6 +22,11 @@ struct LayeredGrid {
 LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, double scale, double thickness,
                                Progress& progress = no_progress());
 
+// The polycube's lattice as it is with a layer of the given thickness on top: valid without any optimisation where
+// every boundary point sees all its faces, mended elsewhere. It does not reach the surface.
+LayeredGrid layer_on_lattice(const std::vector<Vec3i>& blocks, int refinement, const TargetSurface& surface,
+                             double scale, double thickness);
+
 // Cells (core first, then layer) whose least Jacobian at corners or Gauss points is not positive.
 std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid);
 

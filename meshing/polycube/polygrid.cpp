@@ -121,6 +121,10 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
   LayeredGrid layered =
       add_boundary_layer(map_polycube(polycube.blocks, polycube.cells_per_block, target, map_options, progress), target,
                          scale, options.layer_thickness, progress);
+  if (!inverted_cells(layered).empty()) {
+    progress.warn("cells stay inverted at the surface; the grid keeps the polycube's own shape instead");
+    layered = layer_on_lattice(polycube.blocks, polycube.cells_per_block, target, scale, options.layer_thickness);
+  }
   const std::vector<std::int32_t> inverted = inverted_cells(layered);
   if (!inverted.empty())
     throw NumericalError(std::to_string(inverted.size()) + " cells stay inverted; try another --nodes for sg-polycube");
@@ -202,6 +206,7 @@ PolygridQuality measure_polygrid(const Polygrid& polygrid, const VoxelPolycube& 
   std::vector<Eigen::Index> outer;
   for (std::size_t p = 0; p < polygrid.outer_twin.size(); ++p)
     if (polygrid.outer_twin[p] >= 0) outer.push_back(static_cast<Eigen::Index>(p));
+  quality.boundary_points = static_cast<long>(outer.size());
   std::vector<double> angle(outer.size()), distance(outer.size()), thickness(outer.size());
   parallel_for(outer.size(), [&](std::size_t o) {
     const Eigen::Index p = outer[o];

@@ -56,6 +56,7 @@ struct PolygridQuality {
   double link_angle_mean = 0, link_angle_max = 0;            // degrees between an outer point's link and the normal
   double layer_thickness_mean = 0;                           // in cells
   double boundary_distance_max = 0;                          // of outer points to the surface, in cells
+  long boundary_points = 0;                                  // outer points
   long off_surface = 0;                                      // outer points farther than 1e-4 of the object's size
   double coverage_p99 = 0, coverage_max = 0;                 // of surface samples to the outer boundary, in cells
   double weight_condition_median = 0, weight_condition_max = 0;

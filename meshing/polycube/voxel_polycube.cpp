@@ -302,11 +302,30 @@ double score_of(const Candidate& candidate, int object_genus, int cells_per_bloc
 
 }  // namespace
 
+namespace {
+
+// The spacing whose grid has about so many nodes: cell centres, of which a voxel polycube holds a few more than the
+// volume, and boundary nodes on stairs half as large again as the surface.
+double spacing_for(double nodes, double volume, const TriangleMesh& surface) {
+  double area = 0;
+  for (int f = 0; f < surface.face_count(); ++f)
+    area +=
+        0.5 * (surface.corner(f, 1) - surface.corner(f, 0)).cross(surface.corner(f, 2) - surface.corner(f, 0)).norm();
+  double low = 0, high = std::cbrt(volume) + std::sqrt(area);
+  for (int step = 0; step < 100; ++step) {
+    const double h = 0.5 * (low + high);
+    (volume / (h * h * h) + 1.8 * area / (h * h) > nodes ? low : high) = h;
+  }
+  return high;
+}
+
+}  // namespace
+
 VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOptions& options, Progress& progress) {
   const double volume = enclosed_volume(surface);
   if (!(volume > 0)) throw InputError("the surface encloses no volume; expected a closed surface with outward faces");
   VoxelPolycube result;
-  result.spacing = std::cbrt(volume / (0.78 * options.nodes));
+  result.spacing = spacing_for(options.nodes, volume, surface);
   result.cells_per_block = options.grid > 0
                                ? options.grid
                                : static_cast<int>(std::exp2(

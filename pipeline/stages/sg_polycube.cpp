@@ -3,6 +3,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "meshing/core/error.h"
 #include "meshing/formats/polycube_file.h"
 #include "meshing/formats/vtkhdf_file.h"
 #include "meshing/polycube/tetrahedralize.h"
@@ -11,7 +12,7 @@
 
 int main(int argc, char** argv) {
   using namespace shellgrid;
-  StageProgram program("sg-polycube", "Approximates an object by a polycube of equal blocks.");
+  StageProgram program("sg-polycube", "approximates an object by a polycube of equal blocks");
   std::string input;
   PolycubeOptions options;
   program.input("tets.hdf", input, "tetrahedral mesh of the object");
@@ -25,7 +26,8 @@ int main(int argc, char** argv) {
     run.start_timer("read");
     const TriangleMesh surface = boundary_of(read_tetrahedra(input));
     run.start_timer("polycube");
-    const VoxelPolycube polycube = build_voxel_polycube(surface, options, run.progress());
+    const VoxelPolycube polycube =
+        naming(input, [&] { return build_voxel_polycube(surface, options, run.progress()); });
     if (polycube.genus != polycube.object_genus)
       run.progress().warn(fmt::format("the polycube's genus is {}, the object's {}; more --nodes may find it",
                                       polycube.genus, polycube.object_genus));

@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/polycube_file.h"
 #include "meshing/formats/vtkhdf_file.h"
@@ -9,7 +13,7 @@
 
 int main(int argc, char** argv) {
   using namespace shellgrid;
-  StageProgram program("sg-polygrid", "Maps a polycube's cells into an object and weighs their links.");
+  StageProgram program("sg-polygrid", "maps a polycube's cells into an object and weighs their links");
   std::string polycube_path, surface_path;
   PolygridOptions options;
   program.input("polycube.hdf", polycube_path, "polycube of the object");
@@ -22,12 +26,16 @@ int main(int argc, char** argv) {
     const VoxelPolycube polycube = read_polycube(polycube_path);
     const TriangleMesh surface = read_mesh(surface_path).mesh;
     run.start_timer("map");
-    const Polygrid polygrid = build_polygrid(polycube, surface, options, run.progress());
+    const Polygrid polygrid =
+        naming(polycube_path, [&] { return build_polygrid(polycube, surface, options, run.progress()); });
     run.start_timer("measure");
     const PolygridQuality quality = measure_polygrid(polygrid, polycube, surface);
+    if (quality.off_surface > 0)
+      run.progress().warn(fmt::format("{} of {} boundary points stay off the surface, the farthest by {:.3g} cells",
+                                      quality.off_surface, quality.boundary_points, quality.boundary_distance_max));
     run.start_timer("write");
     write_polygrid(run.output(), polygrid);
-    const std::string view = run.output().substr(0, run.output().rfind('.')) + ".view.ply";
+    const std::string view = std::filesystem::path(run.output()).replace_extension(".view.ply").string();
     write_ply(view, polygrid_view(polygrid));
     run.note_output(view);
     auto& results = run.results();

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <nlohmann/json.hpp>
 
+#include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vtkhdf_file.h"
 #include "meshing/polycube/tetrahedralize.h"
@@ -9,7 +10,7 @@
 
 int main(int argc, char** argv) {
   using namespace shellgrid;
-  StageProgram program("sg-tetrahedralize", "Fills a closed surface with tetrahedra.");
+  StageProgram program("sg-tetrahedralize", "fills a closed surface with tetrahedra");
   std::string input;
   TetrahedralizeOptions options;
   program.input("surface.ply", input, "closed surface, as sg-prepare writes it");
@@ -20,9 +21,9 @@ int main(int argc, char** argv) {
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
     const TriangleMesh surface = read_mesh(input).mesh;
-    require_closed_surface(surface);
+    naming(input, [&] { require_closed_surface(surface); });
     run.start_timer("tetrahedralize");
-    const TetrahedralizeResult result = tetrahedralize(surface, options, run.progress());
+    const TetrahedralizeResult result = naming(input, [&] { return tetrahedralize(surface, options, run.progress()); });
     run.start_timer("write");
     write_tetrahedra(run.output(), result.mesh);
     run.results()["points"] = result.mesh.points.rows();

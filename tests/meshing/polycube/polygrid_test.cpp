@@ -9,6 +9,7 @@
 #include <map>
 
 #include "meshing/core/error.h"
+#include "meshing/polycube/boundary_layer.h"
 #include "meshing/polycube/hexahedra_optimization.h"
 #include "meshing/polycube/laplacian_weights.h"
 #include "meshing/polycube/target_surface.h"
@@ -156,6 +157,17 @@ TEST_P(PolygridOfShape, is_the_same_at_one_thread) {
   EXPECT_EQ(again.points, polygrid_.points);
   EXPECT_EQ(again.cells, polygrid_.cells);
   EXPECT_EQ(again.graph.weights, polygrid_.graph.weights);
+}
+
+TEST_P(PolygridOfShape, falls_back_on_a_valid_lattice) {
+  const double unit = polycube_.spacing * polycube_.cells_per_block;
+  TriangleMesh scaled = surface_;
+  scaled.vertices.rowwise() -= polycube_.origin.transpose();
+  scaled.vertices /= unit;
+  const LayeredGrid grid = layer_on_lattice(polycube_.blocks, polycube_.cells_per_block, TargetSurface(scaled),
+                                            polycube_.cells_per_block, 0.1);
+  EXPECT_TRUE(inverted_cells(grid).empty());
+  EXPECT_EQ(grid.layer.size(), static_cast<std::size_t>(polygrid_.boundary_quads.rows()));
 }
 
 INSTANTIATE_TEST_SUITE_P(Shapes, PolygridOfShape,
