@@ -366,7 +366,9 @@ class Retiling {
     Vec3 step = sum / count - here;
     step -= normal.dot(step) * normal;
     if (!step.allFinite()) return here;
-    const SurfacePoint found = surface_.nearest(here + step);
+    // The vertex lies on the surface or is the middle of a chord of it: the nearest point is not far.
+    SurfacePoint found = surface_.nearest(here + step, step.norm() + 0.2 * options_.spacing);
+    if (found.face_index < 0) found = surface_.nearest(here + step);
     // Not onto the far side of a thin wall.
     return face_normals_[found.face_index].dot(normal) > 0 ? found.point : here;
   }

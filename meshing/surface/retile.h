@@ -10,7 +10,7 @@ namespace shellgrid {
 struct RetileOptions {
   double spacing = 0.4;       // mean edge length asked for, mm
   double feature_angle = 45;  // degrees between face normals beyond which an edge is sharp; 180: none
-  int iterations = 8;         // rounds of splitting, collapsing, flipping and relaxing
+  int iterations = 6;         // rounds of splitting, collapsing, flipping and relaxing
   // Around these points edges shorten to refine_factor times the spacing, growing back over four spacings.
   std::vector<Vec3> refine_at;
   double refine_factor = 1;
