@@ -35,7 +35,7 @@ double automatic_exposure(const Image& image) {
   if (values.empty()) return 0;
   auto nth = values.begin() + static_cast<std::ptrdiff_t>(0.98 * (values.size() - 1));
   std::nth_element(values.begin(), nth, values.end());
-  constexpr double filmic_at = 0.55;  // filmic(0.55) = 0.65
+  constexpr double filmic_at = 0.63;  // filmic(0.63) = 0.69
   return *nth > 0 ? std::log2(filmic_at / *nth) : 0;
 }
 

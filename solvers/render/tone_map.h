@@ -13,7 +13,7 @@ enum class ToneCurve {
 };
 
 // The exposure, in stops, that puts the 98th percentile of the luminance of the object (A > 0.5, or of all pixels where
-// there is none) at 65 % of display white through the filmic curve. 0 for a black picture.
+// there is none) at 69 % of display white through the filmic curve. 0 for a black picture.
 double automatic_exposure(const Image& image);
 
 // The R G B layers as display bytes: scaled by 2^exposure, through the curve, sRGB encoded, with an ordered dither of
