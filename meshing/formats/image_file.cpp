@@ -81,6 +81,7 @@ Image parse_exr(const std::string& path, const std::string& bytes) {
 std::string encode_exr(const std::string& path, const Image& image) {
   Imf::Header header(image.width, image.height);
   header.compression() = Imf::ZIP_COMPRESSION;
+  header.zipCompressionLevel() = 1;  // faster than the default, 1 % larger
   Imf::FrameBuffer frame;
   std::set<std::string> names;
   for (const Image::Channel& channel : image.channels) {
