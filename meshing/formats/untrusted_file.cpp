@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 #include <poll.h>
 #include <signal.h>
+#include <sys/mman.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -48,11 +49,9 @@ void limit(int resource, rlim_t amount) {
 // The child: never returns. Writes 'k' for a good file or 'e' and a message.
 [[noreturn]] void rehearse(int pipe_end, rlim_t memory, rlim_t seconds, const std::function<void()>& read) {
   for (int number : {SIGSEGV, SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGINT, SIGTERM}) ::signal(number, SIG_DFL);
-  const int nowhere = ::open("/dev/null", O_RDWR);
-  if (nowhere >= 0) {
-    ::dup2(nowhere, STDOUT_FILENO);
-    ::dup2(nowhere, STDERR_FILENO);
-  }
+  const int nowhere = ::open("/dev/null", O_RDWR), warnings = ::memfd_create("warnings", 0);
+  if (nowhere >= 0) ::dup2(nowhere, STDOUT_FILENO);
+  if (warnings >= 0) ::dup2(warnings, STDERR_FILENO);
   limit(RLIMIT_CORE, 0);
   limit(RLIMIT_CPU, seconds);
   // The sanitizers reserve terabytes of addresses.
@@ -65,6 +64,10 @@ void limit(int resource, rlim_t amount) {
   } catch (...) {
     verdict = "e";
   }
+  // What a library warns about it would print again in the parent: such files are refused.
+  char warning[1000];
+  const ssize_t warned = verdict == "k" && warnings >= 0 ? ::pread(warnings, warning, sizeof warning, 0) : 0;
+  if (warned > 0) verdict = "e" + std::string(warning, static_cast<std::size_t>(warned));
   const ssize_t put = ::write(pipe_end, verdict.data(), std::min<std::size_t>(verdict.size(), 4000));
   ::_exit(put > 0 ? 0 : 1);
 }

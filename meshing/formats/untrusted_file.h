@@ -15,7 +15,8 @@ std::string seal_of(std::string_view bytes, std::string_view more_bytes = {});
 std::string one_line(std::string message);
 
 // Calls read() in a child process of limited memory and time. Throws: InputError with the message of what read()
-// threw, or "PATH: … is corrupt" if the child crashed, ran out of memory or took too long.
+// threw or its library printed on stderr, or "PATH: … is corrupt" if the child crashed, ran out of memory or took too
+// long.
 void rehearse_reading(const std::string& path, const std::string& kind, const std::function<void()>& read);
 
 }  // namespace shellgrid
