@@ -265,11 +265,11 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
   LayerRepair repair(grid, surface, scale, thickness);
   progress.begin("boundary layer", 0);
   double weight = 256;
-  for (int round = 0; round < 12; ++round) {
+  for (int round = 0; round < 20; ++round) {
     const std::vector<std::int32_t> bad = cells_below(grid, thickness, jacobian_margin);
     if (bad.empty()) break;
     repair.mend(bad, 2 + round / 3, weight);
-    if (round >= 2) weight = std::max(0.5, weight / 2.5);
+    if (round >= 2) weight = std::max(0.01, weight / 2.5);
   }
   repair.snap();
   // What mending left off the surface or badly shaped, at a growing pull of the surface; valid cells stay valid.
