@@ -27,6 +27,8 @@ struct MultigridParameters {
 class Multigrid {
  public:
   explicit Multigrid(const PolygridSystem& system, const MultigridParameters& parameters = {});
+  Multigrid(const Multigrid&) = delete;
+  Multigrid& operator=(const Multigrid&) = delete;
 
   // correction = B residual, B ≈ A⁻¹ symmetric.
   void apply(const std::vector<Double4>& residual, std::vector<Double4>& correction);

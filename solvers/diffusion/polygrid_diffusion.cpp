@@ -18,7 +18,7 @@ namespace {
 
 std::string percent(double share) {
   char text[32];
-  std::snprintf(text, sizeof text, "%.2g %%", 100 * share);
+  std::snprintf(text, sizeof text, share < 0.1 ? "%.2g %%" : "%.0f %%", 100 * share);
   return text;
 }
 
@@ -185,7 +185,6 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   const CellCoefficients coefficients = std::holds_alternative<Material>(material)
                                             ? homogeneous_coefficients(polygrid, std::get<Material>(material))
                                             : sample_coefficients(polygrid, *std::get<const ShellVolume*>(material));
-  judge_material(polygrid, coefficients, result, progress);
   progress.end();
 
   progress.begin("diffusion", 1);
@@ -194,6 +193,7 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
                            ? solve_paper(polygrid, coefficients, ior, point_irradiance, options, result)
                            : solve_elements(polygrid, coefficients, ior, point_irradiance, options, result);
   progress.end();
+  judge_material(polygrid, coefficients, result, progress);
 
   result.fluence = std::move(fields.fluence);
   result.exitance = transfer.to_vertices(fields.exitance);

@@ -108,6 +108,10 @@ TEST(Multigrid, SaysWhatHappenedInsteadOfReturningAWrongPicture) {
     EXPECT_NE(std::string(error.what()).find("after 2 iterations; relative residuals 1.00e+00"), std::string::npos)
         << error.what();
   }
+  fluence.clear();
+  EXPECT_THROW(solve_conjugate_gradients(system, multigrid, source, q, 1e-30, 500, fluence), NumericalError);
+  fluence.clear();
+  EXPECT_LT(solve_conjugate_gradients(system, multigrid, source, q, 1e-12, 100, fluence).estimated_error, 1e-12);
   auto broken = source;
   broken[5][0] = std::numeric_limits<double>::quiet_NaN();
   fluence.clear();

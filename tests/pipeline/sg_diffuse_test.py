@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""sg-diffuse from outside: energy, files, determinism, exit codes, nothing left behind."""
+import json
+import os
+import unittest
+
+import h5py
+import numpy
+
+import programs
+
+
+def read_ply(path):
+    """Vertices of a binary PLY as a structured array, and the number of faces."""
+    with open(path, "rb") as file:
+        data = file.read()
+    start = data.index(b"end_header\n") + len(b"end_header\n")
+    header = data[:start].decode()
+    count = int(header.split("element vertex ")[1].split()[0])
+    faces = int(header.split("element face ")[1].split()[0])
+    kinds = {"double": "<f8", "float": "<f4", "uchar": "u1"}
+    fields = [line.split()[1:] for line in header.split("element face")[0].splitlines() if line.startswith("property")]
+    return numpy.frombuffer(data, numpy.dtype([(name, kinds[kind]) for kind, name in fields]), count, start), faces
+
+
+class Diffuse(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.place = programs.workplace()
+        cls.addClassCleanup(cls.place.cleanup)
+        cls.at = lambda name: os.path.join(cls.place.name, name)
+        programs.write_off(cls.at("ball.off"), programs.icosphere(4, 10.0))
+        programs.write_json(cls.at("scene.json"), programs.scene())
+        for arguments in (["prepare", "ball.off", "-o", "surface.ply", "--size", "20", "--spacing", "0.7"],
+                          ["tetrahedralize", "surface.ply", "-o", "tets.hdf"],
+                          ["polycube", "tets.hdf", "-o", "polycube.hdf", "--nodes", "4000"],
+                          ["polygrid", "polycube.hdf", "surface.ply", "-o", "polygrid.hdf"]):
+            done = programs.run(*arguments, cwd=cls.place.name)
+            assert done.returncode == 0, done.stderr
+
+    def diffuse(self, output, *options, scene="scene.json", grid="polygrid.hdf", surface="surface.ply"):
+        return programs.run("diffuse", scene, grid, surface, "-o", output + ".hdf", "--exitance", output + ".ply",
+                            *options, cwd=self.place.name)
+
+    def refused(self, code, *options, words="", **inputs):
+        done = self.diffuse("refused", *options, **inputs)
+        self.assertEqual(done.returncode, code, done.stderr)
+        self.assertEqual(len(done.stderr.strip().splitlines()), 1, done.stderr)
+        self.assertIn(words, done.stderr)
+        self.assertEqual([name for name in os.listdir(self.place.name) if "refused" in name], [])
+
+    def variant(self, name, **changes):
+        programs.write_json(type(self).at(name), programs.scene(**changes))
+        return name
+
+    def test_energy_adds_up_and_files_say_the_same(self):
+        done = self.diffuse("good")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        results = programs.record(type(self).at("good.hdf"))["results"]
+        energy = results["energy"]
+        for c in range(3):
+            self.assertLess(energy["relative_defect"][c], 1e-10)
+            self.assertAlmostEqual(energy["leaving"][c] + energy["absorbed"][c], energy["entering"][c],
+                                   delta=1e-9 * energy["entering"][c])
+            self.assertAlmostEqual(energy["leaving_by_surface"][c], energy["leaving"][c], delta=0.03 * energy["leaving"][c])
+        self.assertLess(energy["leaving"][2], energy["leaving"][0])  # blue is absorbed more
+        self.assertLessEqual(results["estimated_exitance_error"], 0.01)
+        self.assertEqual(len(results["residual_history"]), results["iterations"] + 1)
+        self.assertGreater(results["light_skipped_facing_away"], 0.4 * results["light_directions"])
+        # A parallel light passes π R² ∫ 2μ F_t dμ into a ball; the integral is .92 at this index.
+        self.assertAlmostEqual(energy["entering"][0] / (numpy.pi * 100), 0.92, delta=0.02)
+
+        vertices, faces = read_ply(type(self).at("good.ply"))
+        self.assertEqual(faces, 2 * len(vertices) - 4)
+        self.assertGreater(vertices["exitance_r"][vertices["z"] > 9].mean(), 4 * vertices["exitance_r"][vertices["z"] < -9].mean())
+        self.assertEqual(vertices["irradiance_g"][vertices["z"] < -1].max(), 0)
+        luminance = 0.2126 * vertices["exitance_r"] + 0.7152 * vertices["exitance_g"] + 0.0722 * vertices["exitance_b"]
+        self.assertTrue(numpy.allclose(vertices["quality"], luminance, rtol=1e-4))
+        with h5py.File(type(self).at("good.hdf")) as file:
+            fluence = file["VTKHDF/PointData/fluence"][:]
+            self.assertEqual(fluence.shape, (file["VTKHDF/NumberOfPoints"][0], 3))
+            self.assertTrue(numpy.isfinite(fluence).all())
+            self.assertGreater(fluence.min(), 0)
+
+    def test_same_bytes_at_one_and_two_threads(self):
+        for name, threads in (("one", 1), ("two", 2)):
+            self.assertEqual(self.diffuse(name, "--threads", threads).returncode, 0)
+        for kind in (".hdf", ".ply"):
+            with open(type(self).at("one" + kind), "rb") as a, open(type(self).at("two" + kind), "rb") as b:
+                self.assertEqual(a.read(), b.read())
+
+    def test_a_tighter_tolerance_changes_little(self):
+        self.assertEqual(self.diffuse("loose").returncode, 0)
+        self.assertEqual(self.diffuse("tight", "--tolerance", "1e-8").returncode, 0)
+        loose, tight = (read_ply(type(self).at(name))[0]["exitance_g"] for name in ("loose.ply", "tight.ply"))
+        self.assertGreater(numpy.abs(loose - tight).max(), 0)
+        self.assertLess(numpy.linalg.norm(loose - tight), 0.01 * numpy.linalg.norm(tight))
+
+    def test_the_papers_operator_runs_and_its_record_shows_what_it_loses(self):
+        done = self.diffuse("paper", "--operator", "paper")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        energy = programs.record(type(self).at("paper.hdf"))["results"]["energy"]
+        self.assertGreater(energy["relative_defect"][0], 0.1)
+
+    def test_usage(self):
+        self.refused(2, "--operator", "finite-volumes")
+        self.refused(2, "--tolerance", "-1")
+
+    def test_bad_input(self):
+        self.refused(3, scene="missing.json", words="missing.json")
+        self.refused(3, grid="tets.hdf", words="tets.hdf")
+        self.refused(3, grid="surface.ply")
+        self.refused(3, surface="polygrid.hdf")
+        self.refused(3, scene=self.variant("dark.json", lights=[]))
+        self.refused(3, scene=self.variant("no-core.json", material={"shell": {"sample": "x.json"}, "core": "bottom-layer"}))
+        self.refused(3, "--source", "first-collision", words="first-collision")
+
+    def test_a_damaged_polygrid(self):
+        with open(type(self).at("polygrid.hdf"), "rb") as file:
+            data = file.read()
+        with open(type(self).at("short.hdf"), "wb") as file:
+            file.write(data[: len(data) // 2])
+        self.refused(3, grid="short.hdf", words="short.hdf")
+        with open(type(self).at("inverted.hdf"), "wb") as file:
+            file.write(data)
+        with h5py.File(type(self).at("inverted.hdf"), "r+") as file:
+            cells = file["VTKHDF/Connectivity"]
+            cells[80], cells[81] = cells[81], cells[80]
+        self.refused(3, grid="inverted.hdf", words="inverted")
+
+    def test_no_picture_without_convergence(self):
+        self.refused(4, "--tolerance", "1e-30", words="relative residuals")
+
+
+if __name__ == "__main__":
+    unittest.main()
