@@ -22,7 +22,7 @@ export SCENE OUT
 ARTEFACTS := all views report image.png image.exr exitance.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
   synthesized.ply textons.vdb sample.vdb distance.vdb surface.ply \
   polygrid.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
-.PHONY: setup configure build test demo bench docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
+.PHONY: setup configure build programs test demo bench docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:
 	@bash .ci/install-packages
@@ -32,6 +32,11 @@ configure: setup
 
 build: configure
 	@cmake --build --preset release --parallel $(JOBS)
+
+# The programs alone: what a picture needs.
+stages := $(subst _,-,$(basename $(notdir $(wildcard pipeline/stages/sg_*.cpp))))
+programs: configure
+	@cmake --build --preset release --parallel $(JOBS) --target $(stages)
 
 test: build
 	@ctest --preset release
@@ -46,15 +51,15 @@ assets/meshes/%.off: | setup
 # The artefacts of SCENE lie in OUT, or out/NAME for a scene NAME.json.
 find_out = name=$${SCENE\#\#*/}; out=$${OUT:-out/$${name%.*}}
 
-$(ARTEFACTS): build assets/meshes/bunny00.off
+$(ARTEFACTS): programs assets/meshes/bunny00.off
 	@$(find_out); $(BUILD)/bin/sg-plan -q -o "$$out" -- "$$SCENE" && \
 	  $(MAKE) --no-print-directory -C "$$out" $@ FLAGS='$(FLAGS)'
 
 demo: override SCENE := assets/scenes/marble-bunny.json
-demo: build assets/meshes/bunny00.off
+demo: programs assets/meshes/bunny00.off
 	@$(find_out); started=$$(date +%s.%N); $(BUILD)/bin/sg-plan -q -o "$$out" -- "$$SCENE" && \
 	  $(MAKE) --no-print-directory -C "$$out" all report FLAGS='$(FLAGS)' && \
-	  printf '\n%-9s %s\n' picture "$$out/image.png" report "$$out/report.html" && \
+	  echo && printf '%-9s %s\n' picture "$$out/image.png" report "$$out/report.html" && \
 	  for view in "$$out"/*.ply; do printf '%-9s %s\n' view "$$view"; done && \
 	  printf '%-9s %s\n' records "$$out/*.json" && \
 	  awk -v from=$$started -v to=$$(date +%s.%N) 'BEGIN {printf "%-9s %.1f s\n", "time", to - from}'
@@ -68,7 +73,7 @@ bench: build
 	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot"; fi; \
 	done
 
-docs: build
+docs: programs
 	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B pipeline/readme_tables.py README.md
 
 format:

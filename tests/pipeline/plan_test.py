@@ -6,11 +6,10 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 import unittest
 
-from programs import BIN, run, scene, workplace
+from programs import BIN, SOURCE, scene, workplace
 
 STAND_IN = """#!/usr/bin/python3
 import hashlib, json, os, sys, time
@@ -274,6 +273,21 @@ class PlanTest(unittest.TestCase):
                 self.assertEqual(self.make("surface.ply"), [])
                 for folder, _, files in os.walk(self.root):
                     self.assertNotIn("x", files, folder)
+
+    def test_the_front_makefile_takes_names_as_data(self):
+        log = os.path.join(self.root, "ran")
+        for name in ["$(shell touch x)", "a b", "#", "it's", "`touch x`", "$$x;touch x", "-x"]:
+            with self.subTest(name):
+                self.put(name + ".json", json.dumps(self.content))
+                out = os.path.join(self.root, "to " + name)
+                done = subprocess.run(
+                    ["make", "-C", SOURCE, "-o", "programs", "-o", "assets/meshes/bunny00.off", "BUILD=" + self.root,
+                     "SCENE=" + os.path.join(self.scenes, name + ".json"), "OUT=" + out, "surface.ply"],
+                    capture_output=True, text=True, env={**os.environ, "RAN": log, "MAKEFLAGS": ""})
+                self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+                self.assertTrue(os.path.exists(os.path.join(out, "surface.ply")))
+                for folder in (SOURCE, self.scenes, out, self.root):
+                    self.assertNotIn("x", os.listdir(folder))
 
     def test_a_mesh_outside_by_dots_is_found(self):
         with open(os.path.join(self.root, "far.ply"), "w") as file:
