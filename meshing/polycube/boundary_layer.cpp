@@ -4,208 +4,26 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <map>
 
 #include "meshing/core/parallel.h"
+#include "meshing/polycube/hexahedra_region.h"
 
 namespace shellgrid {
 namespace {
 
-// Relative to the target volume of a cell: what counts as inverted while there is a choice.
-constexpr double jacobian_margin = 1e-3;
+// Relative to the target volume of a cell: what a cell keeps, and what a projected one must have from the start.
+constexpr double least_relative_jacobian = 1e-6;
+constexpr double projected_relative_jacobian = 0.02;
 // Cells below this are improved.
 constexpr double poor_scaled_jacobian = 0.1;
 // Outer points farther from the surface than this, in cells, are drawn back to it.
 constexpr double surface_tolerance = 2e-3;
-
-std::size_t cell_count(const LayeredGrid& grid) { return grid.core.cells.size() + grid.layer.size(); }
-
-const LatticeHexahedron& cell_at(const LayeredGrid& grid, std::size_t c) {
-  return c < grid.core.cells.size() ? grid.core.cells[c] : grid.layer[c - grid.core.cells.size()];
-}
-
-Vec3i lattice_at(const LayeredGrid& grid, std::size_t c) {
-  return grid.core
-      .cell_lattice[c < grid.core.cells.size() ? c : grid.core.boundary_quads[c - grid.core.cells.size()].cell];
-}
-
-// Cells that hold each point.
-struct Incidence {
-  std::vector<std::int32_t> first, cells;
-  explicit Incidence(const LayeredGrid& grid) : first(grid.points.rows() + 1, 0) {
-    for (std::size_t c = 0; c < cell_count(grid); ++c)
-      for (std::int32_t p : cell_at(grid, c)) ++first[p + 1];
-    for (std::size_t p = 0; p + 1 < first.size(); ++p) first[p + 1] += first[p];
-    cells.resize(first.back());
-    std::vector<std::int32_t> next(first.begin(), first.end() - 1);
-    for (std::size_t c = 0; c < cell_count(grid); ++c)
-      for (std::int32_t p : cell_at(grid, c)) cells[next[p]++] = static_cast<std::int32_t>(c);
-  }
-};
-
-double relative_jacobian(const LayeredGrid& grid, std::size_t c, double thickness) {
-  return least_jacobian(grid.points, cell_at(grid, c)) / (c < grid.core.cells.size() ? 1.0 : thickness);
-}
-
-std::vector<std::int32_t> cells_below(const LayeredGrid& grid, double thickness, double margin) {
-  std::vector<std::uint8_t> low(cell_count(grid));
-  parallel_for(low.size(), [&](std::size_t c) { low[c] = !(relative_jacobian(grid, c, thickness) > margin); });
-  std::vector<std::int32_t> result;
-  for (std::size_t c = 0; c < low.size(); ++c)
-    if (low[c]) result.push_back(static_cast<std::int32_t>(c));
-  return result;
-}
-
-Vec3 outer_normal(const LayeredGrid& grid, const VertexMatrix& normals, std::size_t outer) {
-  return normals.row(grid.twin[outer]).transpose().stableNormalized();
-}
-
-class LayerRepair {
- public:
-  LayerRepair(LayeredGrid& grid, const TargetSurface& surface, double scale, double thickness)
-      : grid_(grid),
-        surface_(surface),
-        scale_(scale),
-        thickness_(thickness),
-        incidence_(grid),
-        weight_(cell_count(grid), 1.0) {}
-
-  // One round on the given cells and `rings` around them: untangle, then improve without inverting.
-  void mend(const std::vector<std::int32_t>& bad, int rings, double surface_weight) {
-    for (std::int32_t c : bad)
-      if (scaled_jacobian(grid_.points, cell_at(grid_, c)) < poor_scaled_jacobian)
-        weight_[c] = std::min(64.0, weight_[c] * 2);
-    std::vector<std::uint8_t> chosen(cell_count(grid_), 0);
-    std::vector<std::int32_t> region = bad, front = bad;
-    for (std::int32_t c : bad) chosen[c] = 1;
-    for (int ring = 0; ring < rings; ++ring) {
-      std::vector<std::int32_t> next;
-      for (std::int32_t c : front)
-        for (std::int32_t p : cell_at(grid_, c))
-          for (std::int32_t n = incidence_.first[p]; n < incidence_.first[p + 1]; ++n)
-            if (!chosen[incidence_.cells[n]]) chosen[incidence_.cells[n]] = 1, next.push_back(incidence_.cells[n]);
-      region.insert(region.end(), next.begin(), next.end());
-      front.swap(next);
-    }
-    std::sort(region.begin(), region.end());
-
-    // The region as a mesh of its own; points that other cells hold as well are locked.
-    std::vector<std::int32_t> local(grid_.points.rows(), -1), global;
-    std::vector<LatticeHexahedron> cells;
-    std::vector<Vec3i> lattice;
-    std::vector<double> heights, weights;
-    for (std::int32_t c : region) {
-      LatticeHexahedron cell = cell_at(grid_, c);
-      for (std::int32_t& p : cell) {
-        if (local[p] < 0) local[p] = static_cast<std::int32_t>(global.size()), global.push_back(p);
-        p = local[p];
-      }
-      cells.push_back(cell);
-      lattice.push_back(lattice_at(grid_, c));
-      const bool core = static_cast<std::size_t>(c) < grid_.core.cells.size();
-      heights.push_back(core ? 1.0 : thickness_);
-      weights.push_back(weight_[c]);
-    }
-    HexahedraOptimization optimization(std::move(cells), lattice, std::move(heights));
-    optimization.cell_weight = std::move(weights);
-    optimization.locked.assign(global.size(), 0);
-    VertexMatrix points(global.size(), 3);
-    for (std::size_t p = 0; p < global.size(); ++p) {
-      points.row(p) = grid_.points.row(global[p]);
-      for (std::int32_t n = incidence_.first[global[p]]; n < incidence_.first[global[p] + 1]; ++n)
-        if (!chosen[incidence_.cells[n]]) optimization.locked[p] = 1;
-    }
-    const VertexMatrix normals = boundary_normals(grid_.core);
-    const auto attract = [&](double weight) {
-      optimization.plane_attractions.clear();
-      for (std::size_t p = 0; p < global.size(); ++p) {
-        const std::int64_t outer = global[p] - grid_.core.points.rows();
-        if (outer < 0 || optimization.locked[p]) continue;
-        const TargetSurface::Nearest nearest = surface_.nearest_facing(
-            points.row(p).transpose() / scale_, outer_normal(grid_, normals, static_cast<std::size_t>(outer)));
-        optimization.plane_attractions.push_back(
-            {static_cast<std::int32_t>(p), nearest.point * scale_, nearest.normal, weight, 0.02});
-      }
-    };
-    for (int step = 0; step < 12; ++step) {
-      attract(surface_weight);
-      const double lowest = optimization.least_corner_jacobian(points);
-      if (lowest > jacobian_margin) {
-        optimization.minimize(points, 40, 0);
-        if (step >= 2) break;
-        continue;
-      }
-      const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.02;
-      optimization.minimize(points, 40, 2 * std::sqrt(reach * (reach - std::min(lowest, 0.0))));
-    }
-    for (std::size_t p = 0; p < global.size(); ++p) grid_.points.row(global[p]) = points.row(p);
-    grid_.core.points = grid_.points.topRows(grid_.core.points.rows());
-  }
-
-  // Cells of poor shape, and those at outer points that are off the surface.
-  std::vector<std::int32_t> cells_to_improve() const {
-    std::vector<std::uint8_t> poor(cell_count(grid_));
-    parallel_for(poor.size(), [&](std::size_t c) {
-      poor[c] = scaled_jacobian(grid_.points, cell_at(grid_, c)) < poor_scaled_jacobian;
-    });
-    std::vector<std::uint8_t> off(grid_.twin.size());
-    parallel_for(off.size(), [&](std::size_t outer) {
-      const Vec3 place = grid_.points.row(grid_.core.points.rows() + static_cast<Eigen::Index>(outer)).transpose();
-      off[outer] = surface_.nearest(place / scale_).distance * scale_ > surface_tolerance;
-    });
-    for (std::size_t outer = 0; outer < off.size(); ++outer) {
-      const std::size_t p = static_cast<std::size_t>(grid_.core.points.rows()) + outer;
-      for (std::int32_t n = incidence_.first[p]; off[outer] && n < incidence_.first[p + 1]; ++n)
-        poor[incidence_.cells[n]] = 1;
-    }
-    std::vector<std::int32_t> result;
-    for (std::size_t c = 0; c < poor.size(); ++c)
-      if (poor[c]) result.push_back(static_cast<std::int32_t>(c));
-    return result;
-  }
-
-  // Moves outer points onto the surface, each only as far as its cells stay valid.
-  void snap() {
-    const VertexMatrix normals = boundary_normals(grid_.core);
-    for (std::size_t outer = 0; outer < grid_.twin.size(); ++outer) {
-      const Eigen::Index p = grid_.core.points.rows() + static_cast<Eigen::Index>(outer);
-      const Vec3 place = grid_.points.row(p).transpose();
-      // Along the link's own normal first, else to the nearest point as it is.
-      const TargetSurface::Nearest choices[3] = {
-          surface_.nearest_facing(grid_.points.row(grid_.twin[outer]).transpose() / scale_,
-                                  outer_normal(grid_, normals, outer)),
-          surface_.nearest_facing(place / scale_, outer_normal(grid_, normals, outer)),
-          surface_.nearest(place / scale_)};
-      const double off = choices[2].distance * scale_;
-      if (off < 1e-9) continue;
-      bool done = false;
-      for (double part : {1.0, 0.5, 0.25}) {
-        for (const TargetSurface::Nearest& choice : choices) {
-          grid_.points.row(p) = (place + part * (choice.point * scale_ - place)).transpose();
-          if (part < 1 && &choice != &choices[2]) continue;
-          done = true;
-          for (std::int32_t n = incidence_.first[p]; n < incidence_.first[p + 1] && done; ++n)
-            done = relative_jacobian(grid_, incidence_.cells[n], thickness_) > jacobian_margin;
-          if (done) break;
-        }
-        if (done) break;
-      }
-      if (!done) grid_.points.row(p) = place.transpose();
-    }
-  }
-
- private:
-  LayeredGrid& grid_;
-  const TargetSurface& surface_;
-  double scale_, thickness_;
-  Incidence incidence_;
-  std::vector<double> weight_;
-};
-
-}  // namespace
-
-std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid) { return cells_below(grid, 1.0, 0.0); }
-
-namespace {
+// Links farther off the normal are improved: the cosine of 15°.
+constexpr double poor_link_cosine = 0.966;
+// How far, in cells, a face that looks the same way as the grid is preferred to a nearer one.
+constexpr double same_side_reach = 2;
 
 // Core and layer with the outer points still at their twins.
 LayeredGrid with_flat_layer(LatticeGrid core) {
@@ -231,61 +49,344 @@ LayeredGrid with_flat_layer(LatticeGrid core) {
   return grid;
 }
 
+std::vector<LatticeHexahedron> all_cells(const LayeredGrid& grid) {
+  std::vector<LatticeHexahedron> cells = grid.core.cells;
+  cells.insert(cells.end(), grid.layer.begin(), grid.layer.end());
+  return cells;
+}
+
+// Makes and improves the layer; a grid that is valid stays so at every step.
+class LayerBuilder {
+ public:
+  LayerBuilder(LayeredGrid& grid, const TargetSurface& surface, double scale, double thickness)
+      : grid_(grid),
+        surface_(surface),
+        scale_(scale),
+        thickness_(thickness),
+        cells_(all_cells(grid)),
+        around_(cells_, static_cast<std::size_t>(grid.points.rows())) {
+    outer_of_.assign(grid.core.points.rows(), -1);
+    for (std::size_t outer = 0; outer < grid.twin.size(); ++outer)
+      outer_of_[grid.twin[outer]] = static_cast<std::int32_t>(outer);
+    weight_.assign(cells_.size(), 1.0);
+    inside_.assign(cells_.size(), 0);
+  }
+
+  // Outer points at `thickness` or less from their twins towards what sees every boundary face there: valid where
+  // there is such a direction.
+  void set_by_visible_normals() {
+    const std::vector<Vec3> direction = visible_normals();
+    std::vector<double> height(grid_.twin.size(), thickness_);
+    for (int round = 0; round < 24; ++round) {
+      for (std::size_t outer = 0; outer < height.size(); ++outer)
+        outer_row(outer) = grid_.points.row(grid_.twin[outer]) + height[outer] * direction[outer].transpose();
+      const std::vector<std::int32_t> bad = cells_below(least_relative_jacobian);
+      bool changed = false;
+      for (std::int32_t c : bad)
+        for (std::int32_t p : cells_[c])
+          if (p >= core_points() && height[p - core_points()] > thickness_ * std::pow(0.5, round + 0.5))
+            height[p - core_points()] *= 0.5, changed = true;
+      if (!changed) break;
+    }
+  }
+
+  // Moves outer points to the surface points nearest to their twins, but for those around cells that this spoils.
+  void project() {
+    const VertexMatrix safe = grid_.points.bottomRows(static_cast<Eigen::Index>(grid_.twin.size()));
+    const VertexMatrix normals = boundary_normals(grid_.core);
+    parallel_for(grid_.twin.size(),
+                 [&](std::size_t outer) { outer_row(outer) = (target_of(normals, outer).point * scale_).transpose(); });
+    std::vector<std::uint8_t> projected(grid_.twin.size(), 1);
+    for (bool changed = true; changed;) {
+      changed = false;
+      for (std::int32_t c : cells_below(projected_relative_jacobian))
+        for (std::int32_t p : cells_[c])
+          if (p >= core_points() && projected[p - core_points()]) {
+            const std::int32_t outer = static_cast<std::int32_t>(p - core_points());
+            projected[outer] = 0, changed = true;
+            outer_row(outer) = safe.row(outer);
+          }
+    }
+  }
+
+  // Lifts cells that are inverted by an energy that is finite there, without the surface's pull.
+  void untangle() {
+    for (int round = 0; round < 12; ++round) {
+      const std::vector<std::int32_t> bad = cells_below(least_relative_jacobian);
+      if (bad.empty()) return;
+      for (std::int32_t c : bad) weight_[c] = std::min(64.0, weight_[c] * 2), inside_[c] = 1;
+      for (const HexahedraRegion& region : regions_around(cells_, around_, bad, 2 + round / 3)) {
+        HexahedraOptimization optimization = optimization_of(region);
+        VertexMatrix points = points_of(region);
+        for (int step = 0; step < 6; ++step) {
+          const double lowest = optimization.least_corner_jacobian(points);
+          const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
+          optimization.minimize(points, 40, lowest > 1e-3 ? 0 : 2 * std::sqrt(reach * (reach - std::min(lowest, 0.0))));
+        }
+        put(region, points);
+      }
+    }
+  }
+
+  // Draws the outer points around the given cells to the surface and their twins below them along its normal.
+  void improve(const std::vector<std::int32_t>& poor, int rings, int steps, double pull) {
+    for (std::int32_t c : poor)
+      if (scaled_jacobian(grid_.points, cells_[c]) < poor_scaled_jacobian) weight_[c] = std::min(64.0, weight_[c] * 2);
+    for (const HexahedraRegion& region : regions_around(cells_, around_, poor, rings)) {
+      HexahedraOptimization optimization = optimization_of(region);
+      VertexMatrix points = points_of(region);
+      for (int step = 0; step < steps; ++step) {
+        attract(region, pull, optimization);
+        optimization.minimize(points, 30, 0);
+        const VertexMatrix before = points_of(region);
+        put(region, points);
+        // The energy sees the corners only, but for cells that were caught.
+        bool caught = false;
+        for (std::int32_t c : region.cells)
+          if (!(relative_jacobian(c) > least_relative_jacobian)) caught = true, inside_[c] = 1;
+        if (!caught) continue;
+        put(region, before);
+        points = before;
+        optimization = optimization_of(region);
+      }
+    }
+  }
+
+  // Cells of poor shape, and those at outer points that are off the surface or whose links are off its normal.
+  std::vector<std::int32_t> cells_to_improve() const {
+    std::vector<std::uint8_t> poor(cells_.size());
+    parallel_for(poor.size(),
+                 [&](std::size_t c) { poor[c] = scaled_jacobian(grid_.points, cells_[c]) < poor_scaled_jacobian; });
+    std::vector<std::uint8_t> off(grid_.twin.size());
+    parallel_for(off.size(), [&](std::size_t outer) {
+      const Vec3 place = outer_place(outer);
+      const TargetSurface::Nearest nearest = surface_.nearest(place / scale_);
+      const Vec3 link = place - grid_.points.row(grid_.twin[outer]).transpose();
+      off[outer] =
+          nearest.distance * scale_ > surface_tolerance || link.dot(nearest.normal) < poor_link_cosine * link.norm();
+    });
+    for (std::size_t outer = 0; outer < off.size(); ++outer) {
+      if (!off[outer]) continue;
+      const std::int32_t p = static_cast<std::int32_t>(core_points() + static_cast<Eigen::Index>(outer));
+      for (const std::int32_t* n = around_.begin(p); n != around_.end(p); ++n) poor[*n] = 1;
+    }
+    std::vector<std::int32_t> result;
+    for (std::size_t c = 0; c < poor.size(); ++c)
+      if (poor[c]) result.push_back(static_cast<std::int32_t>(c));
+    return result;
+  }
+
+  // Moves outer points onto the surface, each only as far as its cells stay valid: to the point nearest to its twin
+  // where the link then is along the normal, else to the nearest one.
+  void snap() {
+    const VertexMatrix normals = boundary_normals(grid_.core);
+    for (std::size_t outer = 0; outer < grid_.twin.size(); ++outer) {
+      const Vec3 place = outer_place(outer);
+      const Vec3 twin = grid_.points.row(grid_.twin[outer]).transpose();
+      const Vec3 facing = normals.row(grid_.twin[outer]).transpose().stableNormalized();
+      const TargetSurface::Nearest choices[3] = {
+          target_of(normals, outer), surface_.nearest_same_side(place / scale_, facing, same_side_reach / scale_),
+          surface_.nearest(place / scale_)};
+      const auto off_normal = [&](const Vec3& point, const Vec3& normal) {
+        const Vec3 link = point - twin;
+        return 1 - link.dot(normal) / std::max(1e-300, link.norm());
+      };
+      // On the surface where that is possible, then by the link's direction.
+      double best = choices[2].distance * scale_ < 1e-7 ? off_normal(place, choices[2].normal)
+                                                        : std::numeric_limits<double>::infinity();
+      Vec3 kept = place;
+      for (const TargetSurface::Nearest& choice : choices) {
+        const double cost = off_normal(choice.point * scale_, choice.normal);
+        if (!(cost < best - 1e-9)) continue;
+        outer_row(outer) = (choice.point * scale_).transpose();
+        if (is_valid_around(outer)) best = cost, kept = outer_place(outer);
+        outer_row(outer) = kept.transpose();
+      }
+      if (std::isfinite(best)) continue;
+      for (double part : {0.75, 0.5, 0.25, 0.125}) {
+        outer_row(outer) = (place + part * (choices[2].point * scale_ - place)).transpose();
+        if (is_valid_around(outer)) break;
+        outer_row(outer) = place.transpose();
+      }
+    }
+  }
+
+  std::vector<std::int32_t> cells_below(double margin) const {
+    std::vector<std::uint8_t> low(cells_.size());
+    parallel_for(low.size(),
+                 [&](std::size_t c) { low[c] = !(relative_jacobian(static_cast<std::int32_t>(c)) > margin); });
+    std::vector<std::int32_t> result;
+    for (std::size_t c = 0; c < low.size(); ++c)
+      if (low[c]) result.push_back(static_cast<std::int32_t>(c));
+    return result;
+  }
+
+ private:
+  Eigen::Index core_points() const { return grid_.core.points.rows(); }
+  VertexMatrix::RowXpr outer_row(std::size_t outer) {
+    return grid_.points.row(core_points() + static_cast<Eigen::Index>(outer));
+  }
+  Vec3 outer_place(std::size_t outer) const {
+    return grid_.points.row(core_points() + static_cast<Eigen::Index>(outer)).transpose();
+  }
+  bool is_layer(std::int32_t c) const { return static_cast<std::size_t>(c) >= grid_.core.cells.size(); }
+
+  double relative_jacobian(std::int32_t c) const {
+    return least_jacobian(grid_.points, cells_[c]) / (is_layer(c) ? thickness_ : 1.0);
+  }
+
+  bool is_valid_around(std::size_t outer) const {
+    const std::int32_t p = static_cast<std::int32_t>(core_points() + static_cast<Eigen::Index>(outer));
+    return std::all_of(around_.begin(p), around_.end(p), [&](std::int32_t c) { return relative_jacobian(c) > 1e-3; });
+  }
+
+  // The surface point nearest to an outer point's twin: from there the link is along the normal.
+  TargetSurface::Nearest target_of(const VertexMatrix& normals, std::size_t outer) const {
+    const std::int32_t twin = grid_.twin[outer];
+    return surface_.nearest_same_side(grid_.points.row(twin).transpose() / scale_,
+                                      normals.row(twin).transpose().stableNormalized(), same_side_reach / scale_);
+  }
+
+  // Per outer point a unit vector whose least product with the normals of the boundary's corners there is large.
+  std::vector<Vec3> visible_normals() const {
+    std::vector<std::vector<Vec3>> corners(grid_.twin.size());
+    for (const auto& quad : grid_.core.boundary_quads)
+      for (int k = 0; k < 4; ++k) {
+        const Vec3 here = grid_.core.points.row(quad.corners[k]).transpose();
+        const Vec3 next = grid_.core.points.row(quad.corners[(k + 1) % 4]).transpose();
+        const Vec3 last = grid_.core.points.row(quad.corners[(k + 3) % 4]).transpose();
+        corners[outer_of_[quad.corners[k]]].push_back((next - here).cross(last - here).stableNormalized());
+      }
+    std::vector<Vec3> result(corners.size());
+    parallel_for(corners.size(), [&](std::size_t outer) {
+      Vec3 direction = Vec3::Zero();
+      for (const Vec3& n : corners[outer]) direction += n;
+      direction.stableNormalize();
+      result[outer] = direction;
+      double best = -2;
+      for (int round = 0; round < 100; ++round) {
+        const Vec3* worst = &corners[outer][0];
+        for (const Vec3& n : corners[outer])
+          if (n.dot(direction) < worst->dot(direction)) worst = &n;
+        if (worst->dot(direction) > best) best = worst->dot(direction), result[outer] = direction;
+        if (best > 0.5) break;
+        direction = (direction + *worst / (2 + round)).stableNormalized();
+      }
+    });
+    return result;
+  }
+
+  HexahedraOptimization optimization_of(const HexahedraRegion& region) const {
+    std::vector<Vec3i> lattice;
+    std::vector<double> heights, weights;
+    std::vector<std::uint8_t> inside;
+    for (std::int32_t c : region.cells) {
+      const std::size_t layer = static_cast<std::size_t>(c) - grid_.core.cells.size();
+      lattice.push_back(grid_.core.cell_lattice[is_layer(c) ? grid_.core.boundary_quads[layer].cell : c]);
+      heights.push_back(is_layer(c) ? thickness_ : 1.0);
+      weights.push_back(weight_[c]);
+      inside.push_back(inside_[c]);
+    }
+    HexahedraOptimization optimization(region.local, lattice, std::move(heights));
+    optimization.cell_weight = std::move(weights);
+    optimization.inside = std::move(inside);
+    optimization.locked = region.locked;
+    return optimization;
+  }
+
+  VertexMatrix points_of(const HexahedraRegion& region) const {
+    VertexMatrix points(region.points.size(), 3);
+    for (std::size_t p = 0; p < region.points.size(); ++p) points.row(p) = grid_.points.row(region.points[p]);
+    return points;
+  }
+
+  void put(const HexahedraRegion& region, const VertexMatrix& points) {
+    for (std::size_t p = 0; p < region.points.size(); ++p) {
+      grid_.points.row(region.points[p]) = points.row(p);
+      if (region.points[p] < core_points()) grid_.core.points.row(region.points[p]) = points.row(p);
+    }
+  }
+
+  void attract(const HexahedraRegion& region, double pull, HexahedraOptimization& optimization) const {
+    // Normals of the boundary at the region's points.
+    std::map<std::int32_t, std::int32_t> local;
+    for (std::size_t p = 0; p < region.points.size(); ++p)
+      if (region.points[p] < core_points() && outer_of_[region.points[p]] >= 0)
+        local[region.points[p]] = static_cast<std::int32_t>(p);
+    std::map<std::int32_t, Vec3> normals;
+    for (std::int32_t c : region.cells) {
+      if (!is_layer(c)) continue;
+      const LatticeHexahedron& q = cells_[c];
+      const Vec3 u = (grid_.points.row(q[3]) - grid_.points.row(q[0])).transpose();
+      const Vec3 v = (grid_.points.row(q[2]) - grid_.points.row(q[1])).transpose();
+      for (int k = 0; k < 4; ++k) normals.try_emplace(q[k], Vec3::Zero()).first->second += u.cross(v);
+    }
+    std::map<std::int32_t, std::int32_t> outer_local;
+    for (std::size_t p = 0; p < region.points.size(); ++p)
+      if (region.points[p] >= core_points()) outer_local[region.points[p]] = static_cast<std::int32_t>(p);
+    optimization.plane_attractions.clear();
+    for (const auto& [twin, normal] : normals) {
+      const std::int32_t outer = outer_of_[twin];
+      const TargetSurface::Nearest nearest = surface_.nearest_same_side(
+          grid_.points.row(twin).transpose() / scale_, normal.stableNormalized(), same_side_reach / scale_);
+      const std::int32_t inner_point = local.at(twin);
+      const std::int32_t outer_point = outer_local.at(static_cast<std::int32_t>(core_points() + outer));
+      const Vec3 target = nearest.point * scale_;
+      if (!optimization.locked[outer_point])
+        optimization.plane_attractions.push_back({outer_point, target, nearest.normal, pull, 0.1});
+      if (!optimization.locked[inner_point])
+        optimization.plane_attractions.push_back(
+            {inner_point, target - thickness_ * nearest.normal, nearest.normal, 0.25 * pull, 0.1});
+    }
+  }
+
+  LayeredGrid& grid_;
+  const TargetSurface& surface_;
+  double scale_, thickness_;
+  std::vector<LatticeHexahedron> cells_;  // core, then layer
+  CellsOfPoints around_;
+  std::vector<std::int32_t> outer_of_;  // of each core point, or −1
+  std::vector<double> weight_;          // of each cell
+  std::vector<std::uint8_t> inside_;    // cells whose inside the energy judges
+};
+
 }  // namespace
+
+std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid) {
+  std::vector<std::uint8_t> inverted(grid.core.cells.size() + grid.layer.size());
+  parallel_for(inverted.size(), [&](std::size_t c) {
+    const std::size_t core = grid.core.cells.size();
+    inverted[c] = !(least_jacobian(grid.points, c < core ? grid.core.cells[c] : grid.layer[c - core]) > 0);
+  });
+  std::vector<std::int32_t> result;
+  for (std::size_t c = 0; c < inverted.size(); ++c)
+    if (inverted[c]) result.push_back(static_cast<std::int32_t>(c));
+  return result;
+}
 
 LayeredGrid layer_on_lattice(const std::vector<Vec3i>& blocks, int refinement, const TargetSurface& surface,
                              double scale, double thickness) {
   LayeredGrid grid = with_flat_layer(refine_blocks(blocks, refinement));
-  const VertexMatrix normals = boundary_normals(grid.core);
-  for (std::size_t outer = 0; outer < grid.twin.size(); ++outer) {
-    // One step along each axis that a boundary face looks to: seen by all of them unless two look at each other.
-    const Vec3 step = normals.row(grid.twin[outer]).transpose().array().sign().matrix();
-    grid.points.row(grid.core.points.rows() + static_cast<Eigen::Index>(outer)) += thickness * step.transpose();
-  }
-  LayerRepair repair(grid, surface, scale, thickness);
-  for (int round = 0; round < 12; ++round) {
-    const std::vector<std::int32_t> bad = cells_below(grid, thickness, jacobian_margin);
-    if (bad.empty()) break;
-    repair.mend(bad, 2, 0);
-  }
+  LayerBuilder builder(grid, surface, scale, thickness);
+  builder.set_by_visible_normals();
+  builder.untangle();
   return grid;
 }
 
 LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, double scale, double thickness,
                                Progress& progress) {
   LayeredGrid grid = with_flat_layer(std::move(core));
-  const VertexMatrix normals = boundary_normals(grid.core);
-  parallel_for(grid.twin.size(), [&](std::size_t outer) {
-    const Vec3 place = grid.core.points.row(grid.twin[outer]).transpose();
-    const Vec3 facing = outer_normal(grid, normals, outer);
-    const TargetSurface::Nearest nearest = surface.nearest_facing(place / scale, facing);
-    grid.points.row(grid.core.points.rows() + static_cast<Eigen::Index>(outer)) = (nearest.point * scale).transpose();
-  });
-
-  LayerRepair repair(grid, surface, scale, thickness);
   progress.begin("boundary layer", 0);
-  double weight = 256;
-  for (int round = 0; round < 20; ++round) {
-    const std::vector<std::int32_t> bad = cells_below(grid, thickness, jacobian_margin);
-    if (bad.empty()) break;
-    repair.mend(bad, 2 + round / 3, weight);
-    if (round >= 2) weight = std::max(0.01, weight / 2.5);
+  LayerBuilder builder(grid, surface, scale, thickness);
+  builder.set_by_visible_normals();
+  builder.project();
+  builder.untangle();
+  for (int round = 0; round < 6; ++round) {
+    const std::vector<std::int32_t> poor = builder.cells_to_improve();
+    if (poor.empty() || !builder.cells_below(0).empty()) break;
+    builder.improve(poor, 3, 4, 64 * std::pow(2.0, round));
+    builder.snap();
   }
-  repair.snap();
-  // What mending left off the surface or badly shaped, at a growing pull of the surface; valid cells stay valid.
-  if (cells_below(grid, thickness, jacobian_margin).empty())
-    for (int round = 0; round < 4; ++round) {
-      const std::vector<std::int32_t> poor = repair.cells_to_improve();
-      if (poor.empty()) break;
-      const VertexMatrix before = grid.points;
-      repair.mend(poor, 3, 256 * std::pow(2.5, round));
-      if (!cells_below(grid, thickness, jacobian_margin).empty()) {
-        grid.points = before;
-        grid.core.points = before.topRows(grid.core.points.rows());
-        break;
-      }
-      repair.snap();
-    }
   progress.end();
   return grid;
 }

@@ -44,6 +44,13 @@ inline void scatter_edge(const Lanes& edge_gradient, const LaneBits& flip, const
   out += __builtin_shuffle(signed_gradient, flip) - signed_gradient;
 }
 
+// Each corner's value mixed with its neighbour's: what an edge is at a place inside. Its own adjoint.
+inline void blend(LaneVector& v, const LaneBits& flip, double part) {
+  v.x += part * (__builtin_shuffle(v.x, flip) - v.x);
+  v.y += part * (__builtin_shuffle(v.y, flip) - v.y);
+  v.z += part * (__builtin_shuffle(v.z, flip) - v.z);
+}
+
 // x^(−1/3) for positive x, by four Newton steps.
 inline void inverse_cube_root(const Lanes& x, Lanes& out) {
   unsigned long long bits[8];
@@ -138,43 +145,70 @@ double HexahedraOptimization::evaluate(const VertexMatrix& points, double epsilo
               p.x[k] = row[0], p.y[k] = row[1], p.z[k] = row[2];
             }
             const double stretch = inverse_height_[c];
-            LaneVector a, b, d, bd, da, ab;
-            edge(p.x, flip_x, sign_x, a.x), edge(p.y, flip_x, sign_x, a.y), edge(p.z, flip_x, sign_x, a.z);
-            edge(p.x, flip_y, sign_y, b.x), edge(p.y, flip_y, sign_y, b.y), edge(p.z, flip_y, sign_y, b.z);
-            edge(p.x, flip_z, sign_z, d.x), edge(p.y, flip_z, sign_z, d.y), edge(p.z, flip_z, sign_z, d.z);
-            d.x *= stretch, d.y *= stretch, d.z *= stretch;
-            cross(b, d, bd), cross(d, a, da), cross(a, b, ab);
-            const Lanes det = a.x * bd.x + a.y * bd.y + a.z * bd.z;
-            for (int k = 0; k < 8; ++k) lowest = std::min(lowest, det[k]);
-            const Lanes trace = a.x * a.x + a.y * a.y + a.z * a.z + b.x * b.x + b.y * b.y + b.z * b.z + d.x * d.x +
-                                d.y * d.y + d.z * d.z;
-            // [Garanzha2021] eq. 4: a positive stand-in for the determinant.
-            Lanes root, chi;
-            for (int k = 0; k < 8; ++k) root[k] = std::sqrt(epsilon2 + det[k] * det[k]);
-            for (int k = 0; k < 8; ++k)
-              chi[k] = det[k] >= 0 ? 0.5 * (det[k] + root[k]) : 0.5 * epsilon2 / (root[k] - det[k]);
-            for (int k = 0; k < 8; ++k) chi[k] = std::max(chi[k], 1e-30);
-            const Lanes slope = chi / (root + 1e-300);
-            Lanes third;
-            inverse_cube_root(chi, third);
-            const Lanes inverse_chi = third * third * third;
-            const Lanes shape = ((1 - theta) / 3) * third * third;
-            const Lanes volume = theta * (1.0 + det * det) * 0.5 * inverse_chi;
-            const double weight = (cell_weight.empty() ? 1.0 : cell_weight[c]) / 8;
-            sum += weight * (shape * trace + volume);
-            const Lanes edge_factor = (2 * weight) * shape;
-            const Lanes det_factor = weight * (-(2.0 / 3) * shape * trace * inverse_chi * slope +
-                                               theta * det * inverse_chi - volume * inverse_chi * slope);
-            LaneVector g = {};
-            scatter_edge(edge_factor * a.x + det_factor * bd.x, flip_x, sign_x, g.x);
-            scatter_edge(edge_factor * a.y + det_factor * bd.y, flip_x, sign_x, g.y);
-            scatter_edge(edge_factor * a.z + det_factor * bd.z, flip_x, sign_x, g.z);
-            scatter_edge(edge_factor * b.x + det_factor * da.x, flip_y, sign_y, g.x);
-            scatter_edge(edge_factor * b.y + det_factor * da.y, flip_y, sign_y, g.y);
-            scatter_edge(edge_factor * b.z + det_factor * da.z, flip_y, sign_y, g.z);
-            scatter_edge((edge_factor * d.x + det_factor * ab.x) * stretch, flip_z, sign_z, g.x);
-            scatter_edge((edge_factor * d.y + det_factor * ab.y) * stretch, flip_z, sign_z, g.y);
-            scatter_edge((edge_factor * d.z + det_factor * ab.z) * stretch, flip_z, sign_z, g.z);
+            LaneVector corner_a, corner_b, corner_d, g = {};
+            edge(p.x, flip_x, sign_x, corner_a.x), edge(p.y, flip_x, sign_x, corner_a.y),
+                edge(p.z, flip_x, sign_x, corner_a.z);
+            edge(p.x, flip_y, sign_y, corner_b.x), edge(p.y, flip_y, sign_y, corner_b.y),
+                edge(p.z, flip_y, sign_y, corner_b.z);
+            edge(p.x, flip_z, sign_z, corner_d.x), edge(p.y, flip_z, sign_z, corner_d.y),
+                edge(p.z, flip_z, sign_z, corner_d.z);
+            corner_d.x *= stretch, corner_d.y *= stretch, corner_d.z *= stretch;
+            // At the corners, or at eight points inside, `place` being how far they lie from the corners.
+            const auto add = [&](const double* place, double share) {
+              LaneVector a = corner_a, b = corner_b, d = corner_d, bd, da, ab;
+              if (place) {
+                blend(a, flip_y, place[1]), blend(a, flip_z, place[2]);
+                blend(b, flip_x, place[0]), blend(b, flip_z, place[2]);
+                blend(d, flip_x, place[0]), blend(d, flip_y, place[1]);
+              }
+              cross(b, d, bd), cross(d, a, da), cross(a, b, ab);
+              const Lanes det = a.x * bd.x + a.y * bd.y + a.z * bd.z;
+              for (int k = 0; k < 8; ++k) lowest = std::min(lowest, det[k]);
+              const Lanes trace = a.x * a.x + a.y * a.y + a.z * a.z + b.x * b.x + b.y * b.y + b.z * b.z + d.x * d.x +
+                                  d.y * d.y + d.z * d.z;
+              // [Garanzha2021] eq. 4: a positive stand-in for the determinant.
+              Lanes root, chi;
+              for (int k = 0; k < 8; ++k) root[k] = std::sqrt(epsilon2 + det[k] * det[k]);
+              for (int k = 0; k < 8; ++k)
+                chi[k] = det[k] >= 0 ? 0.5 * (det[k] + root[k]) : 0.5 * epsilon2 / (root[k] - det[k]);
+              for (int k = 0; k < 8; ++k) chi[k] = std::max(chi[k], 1e-30);
+              const Lanes slope = chi / (root + 1e-300);
+              Lanes third;
+              inverse_cube_root(chi, third);
+              const Lanes inverse_chi = third * third * third;
+              const Lanes shape = ((1 - theta) / 3) * third * third;
+              const Lanes volume = theta * (1.0 + det * det) * 0.5 * inverse_chi;
+              const double weight = share * (cell_weight.empty() ? 1.0 : cell_weight[c]) / 8;
+              sum += weight * (shape * trace + volume);
+              const Lanes edge_factor = (2 * weight) * shape;
+              const Lanes det_factor = weight * (-(2.0 / 3) * shape * trace * inverse_chi * slope +
+                                                 theta * det * inverse_chi - volume * inverse_chi * slope);
+              LaneVector ga, gb, gd;
+              ga.x = edge_factor * a.x + det_factor * bd.x, ga.y = edge_factor * a.y + det_factor * bd.y;
+              ga.z = edge_factor * a.z + det_factor * bd.z;
+              gb.x = edge_factor * b.x + det_factor * da.x, gb.y = edge_factor * b.y + det_factor * da.y;
+              gb.z = edge_factor * b.z + det_factor * da.z;
+              gd.x = (edge_factor * d.x + det_factor * ab.x) * stretch;
+              gd.y = (edge_factor * d.y + det_factor * ab.y) * stretch;
+              gd.z = (edge_factor * d.z + det_factor * ab.z) * stretch;
+              if (place) {
+                blend(ga, flip_y, place[1]), blend(ga, flip_z, place[2]);
+                blend(gb, flip_x, place[0]), blend(gb, flip_z, place[2]);
+                blend(gd, flip_x, place[0]), blend(gd, flip_y, place[1]);
+              }
+              scatter_edge(ga.x, flip_x, sign_x, g.x), scatter_edge(ga.y, flip_x, sign_x, g.y);
+              scatter_edge(ga.z, flip_x, sign_x, g.z), scatter_edge(gb.x, flip_y, sign_y, g.x);
+              scatter_edge(gb.y, flip_y, sign_y, g.y), scatter_edge(gb.z, flip_y, sign_y, g.z);
+              scatter_edge(gd.x, flip_z, sign_z, g.x), scatter_edge(gd.y, flip_z, sign_z, g.y);
+              scatter_edge(gd.z, flip_z, sign_z, g.z);
+            };
+            add(nullptr, 1);
+            if (!inside.empty() && inside[c])
+              for (int n = 0; n < 8; ++n) {
+                const double gauss = 0.5 - std::sqrt(0.15);
+                const double place[3] = {n & 1 ? 0.5 : gauss, n >> 1 & 1 ? 0.5 : gauss, n >> 2 ? 0.5 : gauss};
+                add(place, 0.25);
+              }
             for (int k = 0; k < 8; ++k) {
               double* row = gradient.data() + 3 * static_cast<std::size_t>(cell[k]);
               row[0] += g.x[k], row[1] += g.y[k], row[2] += g.z[k];
@@ -211,9 +245,12 @@ double HexahedraOptimization::evaluate(const VertexMatrix& points, double epsilo
 double HexahedraOptimization::least_corner_jacobian(const VertexMatrix& points) const {
   std::vector<double> least((cells_.size() + 4095) / 4096, std::numeric_limits<double>::max());
   parallel_chunks(cells_.size(), 4096, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t c = begin; c < end; ++c)
+    for (std::size_t c = begin; c < end; ++c) {
       for (double determinant : corner_jacobians(points, cells_[c]))
         least[begin / 4096] = std::min(least[begin / 4096], determinant * inverse_height_[c]);
+      if (!inside.empty() && inside[c])
+        least[begin / 4096] = std::min(least[begin / 4096], least_jacobian(points, cells_[c]) * inverse_height_[c]);
+    }
   });
   double result = std::numeric_limits<double>::max();
   for (double l : least) result = std::min(result, l);

@@ -55,8 +55,10 @@ class HexahedraOptimization {
   double theta = 0.2;
   // Weight of each cell (m or empty: ones).
   std::vector<double> cell_weight;
+  // Cells (m or empty: none) that are judged at the 3×3×3 Gauss points as well.
+  std::vector<std::uint8_t> inside;
 
-  // The least corner determinant, relative to the target volume.
+  // The least determinant at corners (and Gauss points where judged), relative to the target volume.
   double least_corner_jacobian(const VertexMatrix& points) const;
 
   // L-BFGS with memory 7. With epsilon = 0 the points must be valid at the start. Returns the energy.

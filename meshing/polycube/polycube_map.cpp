@@ -7,6 +7,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
+#include "meshing/polycube/hexahedra_region.h"
 
 namespace shellgrid {
 namespace {
@@ -41,6 +42,9 @@ TriangleMesh triangulated_boundary(const LatticeGrid& grid) {
   }
   return mesh;
 }
+
+// Relative to a cell's volume: what counts as inverted.
+constexpr double least_core_jacobian = 1e-3;
 
 struct Schedule {
   int steps, iterations;
@@ -81,15 +85,64 @@ class Embedding {
     }
   }
 
-  // [Garanzha2021] eq. 9: lowers ε with the least determinant until no corner is inverted.
+  // Around inverted cells alone: lowers ε with the least determinant ([Garanzha2021] eq. 9) while the surface's pull
+  // fades and the neighbourhood grows, until no cell is inverted.
   bool untangle(int rounds, int iterations) {
+    const CellsOfPoints around(grid_.cells, static_cast<std::size_t>(grid_.points.rows()));
+    std::vector<std::int32_t> pull_of(grid_.points.rows(), -1);
+    for (std::size_t i = 0; i < optimization_.plane_attractions.size(); ++i)
+      pull_of[optimization_.plane_attractions[i].point] = static_cast<std::int32_t>(i);
+    std::vector<double> cell_weight(grid_.cells.size(), 1);
+    std::vector<std::uint8_t> inside(grid_.cells.size(), 0);
     for (int round = 0; round < rounds; ++round) {
-      const double lowest = least();
-      if (lowest > 0) return true;
-      const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
-      optimization_.minimize(grid_.points, iterations, 2 * std::sqrt(reach * (reach - lowest)));
+      const std::vector<std::int32_t> bad = inverted();
+      if (bad.empty()) return true;
+      for (std::int32_t c : bad) cell_weight[c] = std::min(64.0, 2 * cell_weight[c]), inside[c] = 1;
+      for (const HexahedraRegion& region : regions_around(grid_.cells, around, bad, 2 + round / 2)) {
+        std::vector<Vec3i> lattice;
+        std::vector<double> weights;
+        std::vector<std::uint8_t> judged;
+        for (std::int32_t c : region.cells) {
+          lattice.push_back(grid_.cell_lattice[c]);
+          weights.push_back(cell_weight[c]);
+          judged.push_back(inside[c]);
+        }
+        HexahedraOptimization local(region.local, lattice, std::vector<double>(region.cells.size(), 1.0));
+        local.locked = region.locked;
+        local.cell_weight = std::move(weights);
+        local.inside = std::move(judged);
+        VertexMatrix points(region.points.size(), 3);
+        for (std::size_t p = 0; p < region.points.size(); ++p) {
+          points.row(p) = grid_.points.row(region.points[p]);
+          const std::int32_t pull = pull_of[region.points[p]];
+          if (pull < 0 || region.locked[p]) continue;
+          local.plane_attractions.push_back(optimization_.plane_attractions[pull]);
+          local.plane_attractions.back().point = static_cast<std::int32_t>(p);
+          local.plane_attractions.back().weight *= std::pow(0.5, round);
+        }
+        for (int step = 0; step < 4; ++step) {
+          const double lowest = local.least_corner_jacobian(points);
+          const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
+          const double epsilon =
+              lowest > least_core_jacobian ? 0 : 2 * std::sqrt(reach * std::max(reach - lowest, 0.0));
+          local.minimize(points, iterations, epsilon);
+          if (epsilon == 0) break;
+        }
+        for (std::size_t p = 0; p < region.points.size(); ++p) grid_.points.row(region.points[p]) = points.row(p);
+      }
     }
-    return least() > 0;
+    return inverted().empty();
+  }
+
+  std::vector<std::int32_t> inverted() const {
+    std::vector<std::uint8_t> low(grid_.cells.size());
+    parallel_for(low.size(), [&](std::size_t c) {
+      low[c] = !(least_jacobian(grid_.points, grid_.cells[c]) > least_core_jacobian);
+    });
+    std::vector<std::int32_t> result;
+    for (std::size_t c = 0; c < low.size(); ++c)
+      if (low[c]) result.push_back(static_cast<std::int32_t>(c));
+    return result;
   }
 
   double least() const { return optimization_.least_corner_jacobian(grid_.points); }
@@ -101,7 +154,8 @@ class Embedding {
     parallel_for(boundary_.size(), [&](std::size_t i) {
       const std::int32_t v = boundary_[i];
       const Vec3 facing = normals.row(v).transpose().stableNormalized();
-      const TargetSurface::Nearest nearest = surface_.nearest_facing(grid_.points.row(v).transpose() / scale_, facing);
+      const TargetSurface::Nearest nearest =
+          surface_.nearest_same_side(grid_.points.row(v).transpose() / scale_, facing, reach_ / scale_);
       PlaneAttraction& pull = optimization_.plane_attractions[i];
       pull.point = v;
       pull.normal = nearest.normal;
@@ -134,6 +188,7 @@ class Embedding {
   LatticeGrid& grid_;
   const TargetSurface& surface_;
   double scale_, depth_;
+  static constexpr double reach_ = 2;  // cells
   HexahedraOptimization optimization_;
   std::vector<std::int32_t> boundary_;
   std::vector<TargetSurface::Sample> samples_;

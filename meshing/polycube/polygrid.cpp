@@ -220,6 +220,7 @@ PolygridQuality measure_polygrid(const Polygrid& polygrid, const VoxelPolycube& 
   for (std::size_t o = 0; o < outer.size(); ++o) {
     quality.link_angle_mean += angle[o] / static_cast<double>(outer.size());
     quality.link_angle_max = std::max(quality.link_angle_max, angle[o]);
+    quality.steep_links += angle[o] > 30;
     quality.layer_thickness_mean += thickness[o] / polygrid.spacing / static_cast<double>(outer.size());
     quality.boundary_distance_max = std::max(quality.boundary_distance_max, distance[o] / polygrid.spacing);
     quality.off_surface += distance[o] > tolerance;

@@ -54,6 +54,7 @@ struct PolygridQuality {
   double scaled_jacobian_min = 0, scaled_jacobian_mean = 0;  // core and layer cells
   double link_length_cv = 0;                                 // deviation over mean of links between cell centres
   double link_angle_mean = 0, link_angle_max = 0;            // degrees between an outer point's link and the normal
+  long steep_links = 0;                                      // of them more than 30°
   double layer_thickness_mean = 0;                           // in cells
   double boundary_distance_max = 0;                          // of outer points to the surface, in cells
   long boundary_points = 0;                                  // outer points

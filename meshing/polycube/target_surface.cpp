@@ -4,7 +4,6 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numeric>
 
 #include "meshing/core/random.h"
@@ -106,9 +105,10 @@ TargetSurface::TargetSurface(const TriangleMesh& mesh) : mesh_(mesh) {
   }
 }
 
-TargetSurface::Nearest TargetSurface::search(const Vec3& place, const Vec3& facing) const {
+TargetSurface::Nearest TargetSurface::search(const Vec3& place, const Vec3& facing, double least_cosine,
+                                             double limit) const {
   Nearest best;
-  double best_cost = std::numeric_limits<double>::max();
+  double best_cost = limit * limit;
   const bool oriented = facing.squaredNorm() > 0;
   int stack[128], depth = 0;
   stack[depth++] = 0;
@@ -125,6 +125,7 @@ TargetSurface::Nearest TargetSurface::search(const Vec3& place, const Vec3& faci
     }
     for (int i = node.first; i < node.first + node.count; ++i) {
       const int f = order_[i];
+      if (facing.dot(face_normals_[f]) < least_cosine) continue;
       const Vec3 a = mesh_.corner(f, 0), b = mesh_.corner(f, 1), c = mesh_.corner(f, 2);
       const Vec3 barycentric = nearest_barycentric(place, a, b, c);
       const Vec3 point = barycentric[0] * a + barycentric[1] * b + barycentric[2] * c;

@@ -27,9 +27,14 @@ class TargetSurface {
   explicit TargetSurface(const TriangleMesh& mesh);
 
   // The point of least distance.
-  Nearest nearest(const Vec3& place) const { return search(place, Vec3::Zero()); }
+  Nearest nearest(const Vec3& place) const { return search(place, Vec3::Zero(), -2, unlimited); }
   // The point of least distance²·(2 − facing·face normal); facing is unit.
-  Nearest nearest_facing(const Vec3& place, const Vec3& facing) const { return search(place, facing); }
+  Nearest nearest_facing(const Vec3& place, const Vec3& facing) const { return search(place, facing, -2, unlimited); }
+  // The same among faces that look the same way as `facing`, within 75°; where none is nearer than `limit`, among all.
+  Nearest nearest_same_side(const Vec3& place, const Vec3& facing, double limit) const {
+    const Nearest found = search(place, facing, 0.25, limit);
+    return found.face >= 0 ? found : nearest_facing(place, facing);
+  }
 
   const TriangleMesh& mesh() const { return mesh_; }
   // `count` points spread evenly by area: midpoints of a systematic walk over the faces.
@@ -40,7 +45,9 @@ class TargetSurface {
     Vec3 lower, upper;
     int first, count;  // count > 0: a leaf's range of order_; else children first and first + 1
   };
-  Nearest search(const Vec3& place, const Vec3& facing) const;
+  static constexpr double unlimited = 1e150;
+  // Leaves out faces whose normal's product with `facing` is below `least_cosine`.
+  Nearest search(const Vec3& place, const Vec3& facing, double least_cosine, double limit) const;
 
   TriangleMesh mesh_;
   std::vector<int> order_;

@@ -45,7 +45,8 @@ int main(int argc, char** argv) {
     results["inverted_cells"] = quality.inverted_cells;
     results["scaled_jacobian"] = {{"min", quality.scaled_jacobian_min}, {"mean", quality.scaled_jacobian_mean}};
     results["link_length_cv"] = quality.link_length_cv;
-    results["link_angle"] = {{"mean", quality.link_angle_mean}, {"max", quality.link_angle_max}};
+    results["link_angle"] = {
+        {"mean", quality.link_angle_mean}, {"max", quality.link_angle_max}, {"over_30", quality.steep_links}};
     results["layer_thickness"] = quality.layer_thickness_mean;
     results["boundary_distance"] = {{"max", quality.boundary_distance_max},
                                     {"max_mm", quality.boundary_distance_max * polygrid.spacing},
