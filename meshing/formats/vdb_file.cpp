@@ -372,6 +372,11 @@ ShellVolume read_shell_volume(const std::string& path) {
   shell.core.extinction = colour_of(archive, "core_extinction");
   shell.core.albedo = colour_of(archive, "core_albedo");
   shell.core.anisotropy = colour_of(archive, "core_anisotropy");
+  if (const auto fill = archive.metadata.find("core"); fill != archive.metadata.end()) {
+    if (fill->second != "homogeneous" && fill->second != "interpolated")
+      throw InputError(path + ": core is '" + fill->second + "'; expected homogeneous or interpolated");
+    shell.core_interpolated = fill->second == "interpolated";
+  }
   shell.thickness = archive.number("thickness");
   shell.ior = archive.number("ior");
   return shell;
@@ -387,6 +392,7 @@ void write_shell_volume(const std::string& path, const ShellVolume& shell) {
                    {"normal", shell.normal},
                    {"kind", shell.kind}};
   archive.metadata["kind"] = "shell volume";
+  archive.metadata["core"] = shell.core_interpolated ? "interpolated" : "homogeneous";
   archive.set_numbers("core_extinction", components(shell.core.extinction));
   archive.set_numbers("core_albedo", components(shell.core.albedo));
   archive.set_numbers("core_anisotropy", components(shell.core.anisotropy));

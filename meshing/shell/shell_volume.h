@@ -18,6 +18,7 @@ struct ShellVolume {
   TwoLevelGrid<Vec3f> normal;              // of the mesostructure surface where `kind` is 2, else zero
   TwoLevelGrid<std::int32_t> kind;  // VoxelKind of synthesis/material_sample.h: 0 free space, 1 interior, 2 surface
   Material core;                    // the homogeneous core
+  bool core_interpolated = false;   // the core continues the bottom layer instead; `core` is then its mean
   double thickness = 0;             // of the shell, mm
   double ior = 1;                   // refractive index inside over outside
 };

@@ -119,6 +119,8 @@ void add_shell_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
     shell.arguments.insert(shell.arguments.end(),
                            {"--core-absorption", rgb_text(core->absorption()), "--core-scattering",
                             rgb_text(core->scattering()), "--core-anisotropy", rgb_text(core->anisotropy)});
+  if (std::holds_alternative<InterpolatedCore>(c.scene.material->core))
+    shell.arguments.insert(shell.arguments.end(), {"--core", "interpolated"});
   shell.artefacts = {"synthesized.ply", "distance.vdb", "sample.vdb"};
   for (const PlannedStage* stage : {&distance, &sample, &textons, &synthesize, &shell}) stages.push_back(*stage);
 }

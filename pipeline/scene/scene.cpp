@@ -121,6 +121,8 @@ SceneMaterial parse_material(const Section& section) {
   }
   if (section.has("core") && section.value("core").is_object())
     material.core = parse_coefficients(section.section("core"));
+  else if (section.has("core") && section.text("core") == "interpolated")
+    material.core = InterpolatedCore{};
   return material;
 }
 

@@ -26,15 +26,16 @@ struct ShellMaterial {
   double voxel = 0.4;    // d_0, mm
 };
 
-struct BottomLayerCore {};  // the mean of the sample's bottom layer
+struct BottomLayerCore {};   // the mean of the sample's bottom layer
+struct InterpolatedCore {};  // the shell's bottom layer, continued smoothly
 struct OpaqueMaterial {
   Rgb reflectance = Rgb::Constant(0.5f);  // diffuse, 0 … 1
 };
 
 struct SceneMaterial {
-  std::optional<ShellMaterial> shell;            // absent: homogeneous or opaque
-  std::variant<BottomLayerCore, Material> core;  // the homogeneous part
-  std::optional<OpaqueMaterial> opaque;          // excludes shell and core
+  std::optional<ShellMaterial> shell;                              // absent: homogeneous or opaque
+  std::variant<BottomLayerCore, InterpolatedCore, Material> core;  // below the shell, or the homogeneous object
+  std::optional<OpaqueMaterial> opaque;                            // excludes shell and core
 };
 
 struct SceneMethod {

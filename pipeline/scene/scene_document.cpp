@@ -81,9 +81,10 @@ class Checker {
         return numbers(value, place, key, 3);
       case KeyType::core:
         if (value.is_object()) return section(value, place, key.place);
-        if (!value.is_string() || value.get<std::string>() != "bottom-layer")
+        if (!value.is_string() || (value != "bottom-layer" && value != "interpolated"))
           fail(place, "is " + kind_of(value) +
-                          "; expected \"bottom-layer\", {\"named\": …} or {\"absorption\": …, \"scattering\": …}");
+                          "; expected \"bottom-layer\", \"interpolated\", {\"named\": …} or {\"absorption\": …, "
+                          "\"scattering\": …}");
         return;
     }
   }

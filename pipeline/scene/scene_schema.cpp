@@ -78,7 +78,8 @@ std::vector<SceneKey> make_schema() {
        false,
        {},
        "below the shell, or the whole homogeneous object: `\"bottom-layer\"` (the mean of the sample's bottom layer), "
-       "a named material, or coefficients; required without a shell"},
+       "`\"interpolated\"` (the shell's bottom layer continued smoothly: harmonically, without new extremes), a named "
+       "material, or coefficients; required without a shell"},
       {"material.core.named",
        KeyType::name,
        "",

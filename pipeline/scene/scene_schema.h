@@ -20,7 +20,7 @@ enum class KeyType {
   vector,      // [x, y, z]
   colour,      // [r, g, b] or one number for all three
   resolution,  // [width, height]
-  core,        // material.core: "bottom-layer" or a section
+  core,        // material.core: "bottom-layer", "interpolated" or a section
 };
 
 struct SceneKey {

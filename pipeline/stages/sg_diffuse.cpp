@@ -41,7 +41,7 @@ AttributedMesh exitance_mesh(const TriangleMesh& surface, const DiffusionResult&
   const char* names[3] = {"red", "green", "blue"};
   for (int c = 0; c < 3; ++c)
     add(names[c],
-        [&](std::size_t v) { return 255 * std::pow(std::min(result.exitance[v][c] / white, 1.0f), 1 / 2.2f); });
+        [&](std::size_t v) { return 255 * std::pow(std::clamp(result.exitance[v][c] / white, 0.0f, 1.0f), 1 / 2.2f); });
   return mesh;
 }
 
@@ -84,7 +84,17 @@ void record(const DiffusionResult& r, nlohmann::json& results) {
                                                r.cells_per_mean_free_path[2]};
   results["share_under_resolved"] = r.under_resolved;
   results["share_below_diffusion_albedo"] = r.dark;
-  results["share_negative_exitance"] = r.negative_vertices;
+  results["negative_exitance_vertices"] = r.negative_vertices;
+  results["least_exitance"] = r.least_exitance;
+  if (r.core)
+    results["core"] = {{"kind", "interpolated"},
+                       {"free_points", r.core->free_points},
+                       {"boundary_points", r.core->boundary_points},
+                       {"iterations", r.core->iterations},
+                       {"tolerance", r.core->tolerance},
+                       {"residual", r.core->residual}};
+  else
+    results["core"] = {{"kind", "homogeneous"}};
   results["largest_distance_surface_to_grid_mm"] = r.largest_distance;
 }
 

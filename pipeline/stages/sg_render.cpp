@@ -95,6 +95,7 @@ int main(int argc, char** argv) {
 
     const RenderStatistics& s = picture.statistics;
     run.results()["exposure_stops"] = stops;
+    run.results()["negative_exitance_vertices"] = s.negative_exitance_vertices;
     run.results()["camera_rays"] = s.film.samples;
     run.results()["camera_rays_skipped"] = s.film.samples_skipped;
     run.results()["refined_pixels"] = s.film.refined_pixels;

@@ -18,19 +18,26 @@ int main(int argc, char** argv) {
   std::string mesh_path, distance_path, sample_path;
   double thickness = 4;
   std::vector<double> absorption, scattering, anisotropy;
+  std::string core_kind = "bottom-layer";
   StageProgram program("sg-shell", "Resamples the synthesised shell on a regular two-level grid.");
   program.input("synthesized.ply", mesh_path, "surface with texture coordinates, from sg-synthesize");
   program.input("distance.vdb", distance_path, "distance field of the same surface, from sg-distance");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
   program.output("shell.vdb", "the shell's voxels");
   program.option("--thickness", thickness, "mm", "thickness of the shell", 1e-6, 1e4);
-  program.option("--core-absorption", absorption, "1/mm", "of the core; without it the sample's bottom layer", 0, 1e6);
+  program.option("--core", core_kind,
+                 "below the shell without coefficients: the mean of the sample's bottom layer everywhere, or the "
+                 "shell's bottom layer continued smoothly",
+                 {"bottom-layer", "interpolated"});
+  program.option("--core-absorption", absorption, "1/mm", "of a homogeneous core; without it see --core", 0, 1e6);
   program.option("--core-scattering", scattering, "1/mm", "of the core", 0, 1e6);
   program.option("--core-anisotropy", anisotropy, "", "of the core; 0 where not given", -0.999, 0.999);
   program.example("sg-shell synthesized.ply distance.vdb sample.vdb -o shell.vdb", "a shell 4 mm thick");
   return program.run(argc, argv, [&](StageRun& run) {
     if (absorption.empty() != scattering.empty())
       throw InputError("--core-absorption and --core-scattering must be given together");
+    if (!absorption.empty() && core_kind == "interpolated")
+      throw InputError("--core interpolated takes its coefficients from the shell; leave out --core-absorption");
     run.start_timer("read");
     const TexturedMesh mesh = detach_texture(read_mesh(mesh_path), mesh_path);
     const DistanceField distance = read_distance_field(distance_path);
@@ -43,13 +50,17 @@ int main(int argc, char** argv) {
                                                    color(absorption), color(scattering), color(anisotropy));
     run.start_timer("resample");
     ShellStatistics statistics;
-    const ShellVolume shell = resample_shell(mesh, distance, sample, core, thickness, &statistics, run.progress());
+    ShellVolume shell = resample_shell(mesh, distance, sample, core, thickness, &statistics, run.progress());
+    shell.core_interpolated = core_kind == "interpolated";
     run.start_timer("write");
     write_shell_volume(run.output(), shell);
     const std::string view = view_path(run.output());
     write_ply(view, view_shell(mesh, shell));
     run.note_output(view);
     run.results() = {
+        {"core", shell.core_interpolated ? "interpolated"
+                 : absorption.empty()    ? "bottom-layer"
+                                         : "coefficients"},
         {"leaves", statistics.leaves},
         {"possible_leaves", statistics.possible_leaves},
         {"voxels", statistics.voxels},

@@ -73,6 +73,34 @@ class ShellSampler {
   Coefficients core_;
 };
 
+// Marks the points in the shell and the cells that reach below it, and continues its bottom layer there.
+CoreExtension extend_below_shell(const Polygrid& polygrid, const ShellVolume& shell, const ShellSampler& sampler) {
+  std::vector<char> in_shell(polygrid.points.rows()), reaches_core(polygrid.cells.rows());
+  parallel_for(in_shell.size(), [&](std::size_t p) {
+    Coefficients unused;
+    in_shell[p] = sampler.sample(polygrid.points.row(p).transpose(), unused);
+  });
+  parallel_for(reaches_core.size(), [&](std::size_t cell) {
+    Coefficients unused;
+    for (int a = 0; a < 8; ++a)
+      if (!in_shell[polygrid.cells(cell, a)] ||
+          !sampler.sample(gauss_point(polygrid, static_cast<int>(cell), a), unused))
+        reaches_core[cell] = 1;
+  });
+  return extend_core(polygrid, shell, in_shell, reaches_core);
+}
+
+Coefficients interpolate(const Polygrid& polygrid, const CoreExtension& core, std::size_t cell, int corner) {
+  const TrilinearShape& shape = TrilinearQuadrature::instance().gauss[corner];
+  Coefficients sum{Rgb::Zero(), Rgb::Zero()};
+  for (int a = 0; a < 8; ++a) {
+    const std::int32_t point = polygrid.cells(static_cast<Eigen::Index>(cell), a);
+    sum.absorption += static_cast<float>(shape.value[a]) * core.absorption[point];
+    sum.reduced_extinction += static_cast<float>(shape.value[a]) * core.reduced_extinction[point];
+  }
+  return sum;
+}
+
 }  // namespace
 
 Vec3 gauss_point(const Polygrid& polygrid, int cell_index, int corner) {
@@ -106,13 +134,16 @@ CellCoefficients sample_coefficients(const Polygrid& polygrid, const ShellVolume
     std::int64_t shell = 0, floored = 0, bad = 0;
     Counts operator+(const Counts& o) const { return {shell + o.shell, floored + o.floored, bad + o.bad}; }
   };
+  if (shell.core_interpolated) result.core = extend_below_shell(polygrid, shell, sampler);
   const Counts counts = parallel_sum(
       cells, Counts{},
       [&](std::size_t cell) {
         Counts own;
         for (int corner = 0; corner < 8; ++corner) {
           Coefficients c;
-          own.shell += sampler.sample(gauss_point(polygrid, static_cast<int>(cell), corner), c);
+          const bool in_shell = sampler.sample(gauss_point(polygrid, static_cast<int>(cell), corner), c);
+          own.shell += in_shell;
+          if (!in_shell && result.core) c = interpolate(polygrid, *result.core, cell, corner);
           if (!c.absorption.isFinite().all() || !c.reduced_extinction.isFinite().all() || (c.absorption < 0).any() ||
               (c.reduced_extinction < 0).any())
             ++own.bad;

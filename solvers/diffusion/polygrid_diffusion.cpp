@@ -43,6 +43,11 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
   result.samples = static_cast<std::int64_t>(count);
   result.samples_from_shell = coefficients.from_shell;
   result.samples_floored = coefficients.floored;
+  if (coefficients.core) {
+    result.core = coefficients.core;
+    result.core->absorption.clear();
+    result.core->reduced_extinction.clear();
+  }
   if (result.under_resolved > 0.01)
     progress.warn("the diffuse mean free path spans fewer than 4 cells in " + percent(result.under_resolved) +
                   " of the object: expect errors above 0.5 %; try more nodes");
@@ -197,15 +202,14 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
 
   result.fluence = std::move(fields.fluence);
   result.exitance = transfer.to_vertices(fields.exitance);
-  std::int64_t negative = 0;
-  for (Rgb& value : result.exitance) {
-    negative += (value < 0).any();
-    value = value.max(0.0f);
+  for (const Rgb& value : result.exitance) {
+    result.negative_vertices += (value < 0).any();
+    result.least_exitance = std::min<double>(result.least_exitance, value.minCoeff());
   }
-  result.negative_vertices = static_cast<double>(negative) / static_cast<double>(result.exitance.size());
-  if (result.negative_vertices > 0.001)
-    progress.warn("the exitance is negative at " + percent(result.negative_vertices) +
-                  " of the vertices and was set to 0 there: the material is too dark or the grid too coarse");
+  if (result.negative_vertices > 0)
+    progress.warn("the exitance is negative at " + std::to_string(result.negative_vertices) + " of " +
+                  std::to_string(result.exitance.size()) +
+                  " vertices (pictures show 0 there): the reduced albedo is below 0.53, or the grid too coarse");
   result.surface_entering = surface_integral(surface, irradiance.values);
   result.surface_leaving = surface_integral(surface, result.exitance);
   result.irradiance = std::move(irradiance.values);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // From a polygrid, its surface, a material and lights to fluence and exitance.
 #pragma once
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "meshing/core/triangle_mesh.h"
 #include "meshing/polycube/polygrid.h"
 #include "meshing/shell/shell_volume.h"
+#include "solvers/diffusion/core_extension.h"
 #include "solvers/diffusion/multigrid.h"
 #include "solvers/render/lights.h"
 
@@ -24,18 +26,20 @@ struct DiffusionOptions {
 
 struct DiffusionResult {
   std::vector<Rgb> fluence;     // one a point of the polygrid, W mm⁻²
-  std::vector<Rgb> exitance;    // one a vertex of the surface, W mm⁻², not negative
+  std::vector<Rgb> exitance;    // one a vertex of the surface, W mm⁻²; negative where diffusion fails
   std::vector<Rgb> irradiance;  // q, one a vertex of the surface, W mm⁻²
   EnergyBalance energy;
   SolveReport solve;
   Eigen::Array3d surface_entering, surface_leaving;  // ∫ q and ∫ M over the mesh, W: near the energy's by the grid
-  double negative_vertices = 0;                      // share of vertices where M was negative and set to 0
+  std::int64_t negative_vertices = 0;                // vertices with a negative M in some channel
+  double least_exitance = 0;                         // the most negative M of any channel, W mm⁻²; 0: none
   double largest_distance = 0;                       // between mesh and boundary quads, mm
   Rgb cells_per_mean_free_path = Rgb::Zero();        // the least over the object, 1/(σ_tr h); 0: no absorption
   double under_resolved = 0;                         // share of samples with fewer than four cells to it
   double dark = 0;                                   // share of samples whose reduced albedo is below .53
   std::int64_t light_directions = 0, light_facing_away = 0, light_occluded = 0;
   std::int64_t samples_from_shell = 0, samples_floored = 0, samples = 0;
+  std::optional<CoreExtension> core;  // where the core is interpolated; without its fields
 };
 
 // Solves D1–D3 on the polygrid. The irradiance is found at the surface's vertices, with shadows, and averaged over the

@@ -194,7 +194,9 @@ RenderedImage render_surface(const TriangleMesh& mesh, const TranslucentSurface&
     }
     sample.specular = reflectance * seen;
   };
-  return expose(stage, camera, shade, glimpse, progress);
+  RenderedImage picture = expose(stage, camera, shade, glimpse, progress);
+  for (const Rgb& value : surface.exitance) picture.statistics.negative_exitance_vertices += (value < 0).any();
+  return picture;
 }
 
 RenderedImage render_surface(const TriangleMesh& mesh, const OpaqueSurface& surface, const std::vector<Light>& lights,

@@ -37,7 +37,8 @@ struct RenderStatistics {
   Film::Statistics film;
   std::int64_t mirror_rays = 0;
   std::int64_t shadow_rays = 0, shadow_rays_skipped = 0;
-  std::int64_t unseen_vertices_skipped = 0;  // opaque: vertices whose faces all look away from the camera
+  std::int64_t unseen_vertices_skipped = 0;     // opaque: vertices whose faces all look away from the camera
+  std::int64_t negative_exitance_vertices = 0;  // translucent: vertices with a negative exitance, shown as 0
 };
 
 struct RenderedImage {

@@ -126,6 +126,16 @@ class PlanTest(unittest.TestCase):
         for stage in ["distance", "sample", "textons", "synthesize", "shell"]:
             self.assertRegex(makefile, "# %s is left out, because " % stage)
 
+    def test_an_interpolated_core_is_asked_of_the_shell(self):
+        self.content["material"]["core"] = "interpolated"
+        self.put_scene()
+        self.remake()
+        self.assertIn("--core interpolated", self.text("Makefile"))
+        self.content["material"]["core"] = "bottom-layer"
+        self.put_scene()
+        self.assertEqual(self.remake()[:1], ["shell"])
+        self.assertNotIn("--core interpolated", self.text("Makefile"))
+
     def test_an_opaque_object_needs_no_diffusion(self):
         self.content["material"] = {"opaque": {"reflectance": 0.7}}
         self.put_scene()

@@ -131,6 +131,8 @@ TEST_F(SceneFile, RefusesWrongTypesAndRanges) {
   EXPECT_SAYS(complaint(R"({"material": {"core": {"absorption": 1, "scattering": 1, "anisotropy": 1}}})"),
               "anisotropy: 1 is out of range");
   EXPECT_SAYS(complaint(R"({"material": {"core": "bottom-layer"}})"), "expected shell, opaque, or a core");
+  EXPECT_SAYS(complaint(R"({"material": {"core": "interpolated"}})"), "expected shell, opaque, or a core");
+  EXPECT_SAYS(complaint(R"({"material": {"core": "smooth"}})"), "\"interpolated\"");
   EXPECT_SAYS(complaint(R"({"material": {"core": {"named": "marbel"}}})"), "did you mean marble?");
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {"reflectance": 1.5}}})"), "0 … 1");
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {}, "core": {"named": "marble"}}})"), "material.core: has no place");

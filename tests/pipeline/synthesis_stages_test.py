@@ -220,6 +220,18 @@ class Chain(unittest.TestCase):
             self.assertEqual(done.returncode, 0, done.stderr)
             self.assertNotEqual(read_bytes(out), read_bytes(self.at("shell.vdb")))
 
+    def test_the_core_may_be_interpolated_but_not_with_coefficients(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "shell.vdb")
+            inputs = ["shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o", out,
+                      "--thickness", 2, "--core", "interpolated"]
+            done = run(*inputs)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertEqual(record(out)["results"]["core"], "interpolated")
+            self.assertIn("interpolated", run("describe", out).stdout)
+            self.refused(run(*inputs, "--core-absorption", "0.1,0.2,0.3", "--core-scattering", "1,1,1"), 3,
+                         "--core interpolated")
+
     def test_the_papers_textons_work_too(self):
         with workplace() as folder:
             textons, out = os.path.join(folder, "textons.vdb"), os.path.join(folder, "synthesized.ply")

@@ -148,6 +148,7 @@ TEST(VdbFile, ShellVolumeRoundTrip) {
   shell.core.extinction = Rgb(0.1f, 1.0f / 3, 7e-8f);
   shell.core.albedo = Rgb(0.9f, 0.99f, 0.999f);
   shell.core.anisotropy = Rgb(-0.1f, 0, 0.8f);
+  shell.core_interpolated = true;
   shell.thickness = 4.1;
   shell.ior = 1.5;
   write_shell_volume(folder / "s.vdb", shell);
@@ -161,6 +162,7 @@ TEST(VdbFile, ShellVolumeRoundTrip) {
   EXPECT_TRUE((read.core.extinction == shell.core.extinction).all());
   EXPECT_TRUE((read.core.albedo == shell.core.albedo).all());
   EXPECT_TRUE((read.core.anisotropy == shell.core.anisotropy).all());
+  EXPECT_TRUE(read.core_interpolated);
   EXPECT_EQ(read.thickness, shell.thickness);
   EXPECT_EQ(read.ior, shell.ior);
 }
