@@ -21,7 +21,7 @@ export SCENE OUT
 .DEFAULT_GOAL := image.png
 ARTEFACTS := all views report image.png image.exr exitance.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
   synthesized.ply textons.vdb sample.vdb distance.vdb surface.ply \
-  polygrid.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
+  polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
 .PHONY: setup configure build programs test demo bench docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:

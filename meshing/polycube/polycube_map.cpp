@@ -262,6 +262,24 @@ LatticeGrid refine_blocks(const std::vector<Vec3i>& blocks, int refinement) {
   return grid;
 }
 
+TriangleMesh polycube_surface(const VoxelPolycube& polycube) {
+  const LatticeGrid grid = refine_blocks(polycube.blocks, 1);
+  TriangleMesh surface = triangulated_boundary(grid);
+  std::vector<std::int32_t> index(grid.points.rows(), -1);
+  std::vector<Eigen::Index> used;
+  for (Eigen::Index f = 0; f < surface.faces.rows(); ++f)
+    for (int k = 0; k < 3; ++k) {
+      std::int32_t& local = index[surface.faces(f, k)];
+      if (local < 0) local = static_cast<std::int32_t>(used.size()), used.push_back(surface.faces(f, k));
+      surface.faces(f, k) = local;
+    }
+  surface.vertices.resize(static_cast<Eigen::Index>(used.size()), 3);
+  const double edge = polycube.spacing * polycube.cells_per_block;
+  for (std::size_t v = 0; v < used.size(); ++v)
+    surface.vertices.row(v) = polycube.origin.transpose() + edge * grid.points.row(used[v]);
+  return surface;
+}
+
 VertexMatrix boundary_normals(const LatticeGrid& grid) {
   VertexMatrix normals = VertexMatrix::Zero(grid.points.rows(), 3);
   for (const auto& quad : grid.boundary_quads) {

@@ -31,6 +31,9 @@ LatticeGrid refine_blocks(const std::vector<Vec3i>& blocks, int refinement);
 // Outward area-weighted normals of the boundary at its points (n×3), zero elsewhere; not normalised.
 VertexMatrix boundary_normals(const LatticeGrid& grid);
 
+// The polycube's boundary in mm as closed triangles without unused points.
+TriangleMesh polycube_surface(const VoxelPolycube& polycube);
+
 struct PolycubeMapOptions {
   double layer_thickness = 0.1;  // depth at which the core's boundary is sought, in cells
   int coarse_steps = 8;

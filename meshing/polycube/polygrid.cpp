@@ -157,8 +157,16 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
     const Eigen::Index p = core_points + static_cast<Eigen::Index>(o);
     polygrid.point_lattice.row(p) = core.point_lattice[layered.twin[o]].transpose();
     polygrid.outer_twin[p] = layered.twin[o];
-    const TargetSurface::Nearest nearest = target.nearest_facing(
-        layered.points.row(p).transpose() / scale, normals.row(layered.twin[o]).transpose().stableNormalized());
+    const Vec3 place = layered.points.row(p).transpose() / scale;
+    const Vec3 twin = layered.points.row(layered.twin[o]).transpose() / scale;
+    TargetSurface::Nearest nearest =
+        target.nearest_facing(place, normals.row(layered.twin[o]).transpose().stableNormalized());
+    // On an edge or a corner of the mesh the surface has a cone of normals: where this is the twin's nearest point
+    // from inside, the link's own direction is one of them.
+    const Vec3 link = place - twin;
+    if (nearest.barycentric.minCoeff() < 1e-6 && link.dot(nearest.face_normal) > 1e-9 * link.norm() &&
+        target.nearest(twin).distance > (1 - 1e-9) * link.norm())
+      nearest.normal = link.normalized();
     polygrid.point_normal.row(p) = nearest.normal.transpose();
   });
   polygrid.boundary_quads.resize(quads, 4);

@@ -132,6 +132,7 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
   PlannedStage diffuse{"diffuse", "light inside the object and what leaves it"};
   tetrahedralize.outputs = {"tets.hdf"};
   polycube.outputs = {"polycube.hdf"};
+  polycube.views = {"polycube.view.ply"};
   polygrid.outputs = {"polygrid.hdf"};
   polygrid.views = {"polygrid.view.ply"};
   diffuse.outputs = {"fluence.hdf", "exitance.ply"};

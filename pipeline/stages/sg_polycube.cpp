@@ -4,11 +4,14 @@
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
+#include "meshing/formats/mesh_file.h"
 #include "meshing/formats/polycube_file.h"
 #include "meshing/formats/vtkhdf_file.h"
+#include "meshing/polycube/polycube_map.h"
 #include "meshing/polycube/tetrahedralize.h"
 #include "meshing/polycube/voxel_polycube.h"
 #include "pipeline/cli/stage_program.h"
+#include "pipeline/cli/view_path.h"
 
 int main(int argc, char** argv) {
   using namespace shellgrid;
@@ -16,7 +19,7 @@ int main(int argc, char** argv) {
   std::string input;
   PolycubeOptions options;
   program.input("tets.hdf", input, "tetrahedral mesh of the object");
-  program.output("polycube.hdf", "blocks with their lattice coordinates (VTKHDF)");
+  program.output("polycube.hdf", "blocks with their lattice coordinates (VTKHDF); a view.ply beside it");
   program.option("--nodes", options.nodes, "", "nodes wanted in the polygrid", 200, 2e7);
   program.option("--cubes", options.blocks, "", "blocks wanted, where --grid is 0", 8, 1e6);
   program.option("--grid", options.grid, "", "cells along a block's edge; 0 chooses by --cubes", 0, 256);
@@ -33,6 +36,11 @@ int main(int argc, char** argv) {
                                       polycube.genus, polycube.object_genus));
     run.start_timer("write");
     write_polycube(run.output(), polycube);
+    const std::string view = view_path(run.output());
+    AttributedMesh blocks;
+    blocks.mesh = polycube_surface(polycube);
+    write_ply(view, blocks);
+    run.note_output(view);
     auto& results = run.results();
     results["cubes"] = polycube.blocks.size();
     results["cells_per_cube_edge"] = polycube.cells_per_block;

@@ -79,7 +79,7 @@ class MeshLabReadsEveryView(unittest.TestCase):
 
     def test_every_kind_of_artefact_is_there(self):
         self.assertLessEqual(CLOSED | {"distance.view.ply", "sample.view.ply", "textons.view.ply", "shell.view.ply",
-                                       "polygrid.view.ply"}, set(self.plys))
+                                       "polycube.view.ply", "polygrid.view.ply"}, set(self.plys))
         self.assertLessEqual({"tets.hdf", "polycube.hdf", "polygrid.hdf", "fluence.hdf"}, set(self.hdfs))
 
     def test_every_ply_opens_with_its_vertices_faces_and_quality(self):

@@ -35,7 +35,7 @@ for path in files:
 if name == "sg-render":
     outputs.append("image.png")
 views = [o.replace(".vdb", ".view.ply").replace(".hdf", ".view.ply") for o in outputs
-         if o.endswith(".vdb") or o == "polygrid.hdf"]
+         if o.endswith(".vdb") or o in ("polycube.hdf", "polygrid.hdf")]
 if os.environ.get("SLEEP") == name:
     open(outputs[0], "w").write("half")
     open(os.environ["RAN"] + ".asleep", "w").close()

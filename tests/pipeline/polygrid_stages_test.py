@@ -8,7 +8,7 @@ import numpy
 
 from programs import box, icosphere, record, run, torus, workplace, write_off
 
-GEOMETRY = ["tets.hdf", "polycube.hdf", "polygrid.hdf", "polygrid.view.ply"]
+GEOMETRY = ["tets.hdf", "polycube.hdf", "polygrid.hdf", "polycube.view.ply", "polygrid.view.ply"]
 
 
 def read_bytes(path):

@@ -9,6 +9,7 @@
 #include <map>
 
 #include "meshing/core/error.h"
+#include "meshing/core/random.h"
 #include "meshing/polycube/boundary_layer.h"
 #include "meshing/polycube/hexahedra_optimization.h"
 #include "meshing/polycube/laplacian_weights.h"
@@ -149,6 +150,24 @@ TEST_P(PolygridOfShape, reaches_the_surface) {
   EXPECT_LT(quality_.coverage_max, GetParam().coverage);
 }
 
+TEST_P(PolygridOfShape, links_no_outer_point_against_the_normal) {
+  // From the points alone: the facet under each outer point, and its side on which the twin stands.
+  const TargetSurface target(surface_);
+  const double size = (surface_.vertices.colwise().maxCoeff() - surface_.vertices.colwise().minCoeff()).maxCoeff();
+  long reversed = 0, on_surface = 0;
+  for (std::size_t p = 0; p < polygrid_.outer_twin.size(); ++p) {
+    if (polygrid_.outer_twin[p] < 0) continue;
+    const Vec3 place = polygrid_.points.row(p).transpose();
+    const TargetSurface::Nearest nearest = target.nearest(place);
+    if (nearest.distance > 1e-4 * size) continue;
+    ++on_surface;
+    reversed += (place - polygrid_.points.row(polygrid_.outer_twin[p]).transpose()).dot(nearest.face_normal) <= 0;
+  }
+  EXPECT_GT(on_surface, 0);
+  EXPECT_EQ(reversed, 0);
+  EXPECT_LT(quality_.link_angle_mean, 5);
+}
+
 TEST_P(PolygridOfShape, is_the_same_at_one_thread) {
   const oneapi::tbb::global_control one(oneapi::tbb::global_control::max_allowed_parallelism, 1);
   const Built rebuilt = build();
@@ -230,6 +249,30 @@ TEST(HexahedraOptimization, measures_a_box_and_sees_a_folded_cell) {
   EXPECT_NEAR(scaled_jacobian(points, cell), 1, 1e-12);
   points.row(7) << 0.2, 0.2, 0.2;
   EXPECT_LT(least_jacobian(points, cell), 0);
+}
+
+TEST(HexahedraOptimization, sees_a_cell_inverted_between_its_corners) {
+  // Positive at the corners, negative inside: of random cells, the first such one.
+  std::vector<LatticeHexahedron> cells = {{0, 1, 2, 3, 4, 5, 6, 7}};
+  VertexMatrix points(8, 3);
+  double corners = 0, inside = 0;
+  for (std::uint64_t seed = 0; seed < 1000000 && !(corners > 0.01 && inside < -0.005); ++seed) {
+    RandomStream random(7, seed);
+    for (int k = 0; k < 8; ++k)
+      points.row(k) << (k & 1) + 1.4 * random.next(), (k >> 1 & 1) + 1.4 * random.next(),
+          (k >> 2) + 1.4 * random.next();
+    corners = 1e300;
+    for (double determinant : corner_jacobians(points, cells[0])) corners = std::min(corners, determinant);
+    inside = least_jacobian(points, cells[0]);
+  }
+  ASSERT_GT(corners, 0);
+  ASSERT_LT(inside, 0);
+  HexahedraOptimization optimization(cells, {Vec3i::Zero()}, {1.0});
+  EXPECT_GT(optimization.least_corner_jacobian(points), 0);
+  optimization.inside = {1};
+  EXPECT_LT(optimization.least_corner_jacobian(points), 0);
+  optimization.minimize(points, 200, 0.1);
+  EXPECT_GT(least_jacobian(points, cells[0]), 0.5);
 }
 
 TEST(BlockGrid, counts_the_euler_characteristic_of_simple_bodies) {
