@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "synthesis/procedural_sample.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -180,8 +182,10 @@ void fill(MaterialSample& sample, const BumpsPattern& pattern, const SampleDefin
   const double center_depth = radius + 0.25;  // voxels below the top
   const double ground = center_depth + pattern.lift * radius;
   if (ground + 1 > sample.size.z())
-    throw InputError("bumps reach " + std::to_string(ground * sample.voxel) + " mm deep; thickness is only " +
-                     std::to_string(sample.size.z() * sample.voxel) + " mm; make the sample thicker or bumps smaller");
+    throw InputError(
+        fmt::format("bumps reach {:.4g} mm deep; thickness is only {:.4g} mm; make the sample thicker or "
+                    "bumps smaller",
+                    ground * sample.voxel, sample.size.z() * sample.voxel));
   std::vector<Vec3f> outward(sample.voxel_count());
   for_each_voxel(sample, [&](std::size_t index, const Vec3& p) {
     double ball = 1e300, stem = 1e300;  // signed distances, voxels, negative inside

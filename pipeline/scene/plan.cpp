@@ -204,7 +204,8 @@ Plan make_plan(const std::string& scene_path) {
   need(scene.material.has_value(), "material");
   need(!scene.material->shell || !scene.material->shell->sample.empty(), "material.shell.sample");
   need(scene.camera.has_value(), "camera");
-  need(!scene.lights.empty(), "lights");
+  need(document.root.contains("lights"), "lights");
+  if (scene.lights.empty()) throw InputError(scene_path + ": lights: is empty; expected one or more");
 
   SceneCase scene_case{document,
                        scene,

@@ -103,7 +103,7 @@ std::vector<SceneKey> make_schema() {
       section("material.opaque", "an opaque diffuse surface: no light inside"),
       colour("material.opaque.reflectance", "", 0.5, 1, "diffuse reflectance"),
 
-      list("lights", "any number of lights"),
+      list("lights", "one or more lights"),
       word("lights[].type", none, {"directional", "point", "environment"}, "kind of light"),
       vector("lights[].direction", "", none, "directional: the direction in which the light travels"),
       colour("lights[].irradiance", "W mm⁻²", none, infinite, "directional: irradiance on a plane that faces it"),

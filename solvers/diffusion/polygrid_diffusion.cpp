@@ -59,6 +59,36 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
                   " material samples scatter almost nothing; light crosses them freely");
 }
 
+// Says what is wrong with a solution; refuses one that is no picture of anything.
+void judge_solution(const DiffusionOptions& options, const DiffusionResult& result, Progress& progress) {
+  const double negative = static_cast<double>(result.negative_vertices) / static_cast<double>(result.exitance.size());
+  if (options.operator_name == "paper") {
+    const double defect = std::max(
+        {result.energy.relative_defect[0], result.energy.relative_defect[1], result.energy.relative_defect[2]});
+    progress.warn("the paper's boundary condition does not conserve energy: the balance is off by " + percent(defect) +
+                  ", and the exitance is negative at " + percent(negative) + " of the vertices");
+    return;
+  }
+  bool impossible = false;
+  for (int c = 0; c < 3; ++c) impossible |= result.energy.leaving[c] < -1e-6 * result.energy.entering[c];
+  if (impossible)
+    throw NumericalError("less than no light leaves: the exitance is negative at " + percent(negative) +
+                         " of the vertices; the grid's cells are wider than the light's reach, or the material is too "
+                         "dark for diffusion; try more nodes, a smaller object or a higher albedo");
+  if (negative > 0)
+    progress.warn("the exitance is negative at " + std::to_string(result.negative_vertices) + " of " +
+                  std::to_string(result.exitance.size()) +
+                  " vertices (pictures show 0 there): the reduced albedo is below 0.53, or the grid too coarse");
+  double lost = 0;
+  for (int c = 0; c < 3; ++c)
+    if (result.surface_entering[c] > 0)
+      lost = std::max(lost, std::abs(1 - result.energy.entering[c] / result.surface_entering[c]));
+  if (lost > 0.02)
+    progress.warn("the grid receives " + percent(lost) +
+                  " less or more light than the surface, from which it stays up to " +
+                  std::to_string(result.largest_distance) + " mm away; try more nodes");
+}
+
 // What either operator yields: at the polygrid's points.
 struct PointFields {
   std::vector<Rgb> fluence, exitance;
@@ -178,6 +208,9 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
 
   progress.begin("light on the surface", 1);
   const SceneGeometry geometry(surface);
+  for (const Light& light : lights)
+    if (const auto* point = std::get_if<PointLight>(&light))
+      if (geometry.contains(point->position)) throw InputError("lights: a point light lies inside the object");
   SurfaceIrradiance irradiance = surface_irradiance(surface, geometry, lights, ior, options.environment_samples);
   result.light_directions = irradiance.directions;
   result.light_facing_away = irradiance.facing_away;
@@ -206,12 +239,9 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
     result.negative_vertices += (value < 0).any();
     result.least_exitance = std::min<double>(result.least_exitance, value.minCoeff());
   }
-  if (result.negative_vertices > 0)
-    progress.warn("the exitance is negative at " + std::to_string(result.negative_vertices) + " of " +
-                  std::to_string(result.exitance.size()) +
-                  " vertices (pictures show 0 there): the reduced albedo is below 0.53, or the grid too coarse");
   result.surface_entering = surface_integral(surface, irradiance.values);
   result.surface_leaving = surface_integral(surface, result.exitance);
+  judge_solution(options, result, progress);
   result.irradiance = std::move(irradiance.values);
   return result;
 }

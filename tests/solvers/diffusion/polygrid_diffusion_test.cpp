@@ -124,6 +124,11 @@ TEST(PolygridDiffusion, TheWhiteFurnaceIsWhite) {
   for (const Rgb& value : r.exitance) ASSERT_NEAR(value[0], expected, 0.02 * expected);
 }
 
+TEST(PolygridDiffusion, RefusesAPointLightInsideTheObject) {
+  const Ball ball;
+  EXPECT_THROW(ball.solve({0.01, 1}, {PointLight{Vec3(1, 2, 3), Rgb::Ones()}}), InputError);
+}
+
 TEST(PolygridDiffusion, LightIsLinear) {
   const Ball ball;
   DiffusionOptions options;
@@ -143,12 +148,15 @@ TEST(PolygridDiffusion, WarnsOfCoarseGridsAndDarkMaterials) {
     void warn(const std::string& message) override { heard += message + "\n"; }
   };
   const Ball ball;
-  Listener dark, fine;
-  const DiffusionResult r =
-      solve_polygrid_diffusion(ball.grid, ball.surface, test::grey_material({2, 1}), 1.5, sun(), {}, dark);
-  EXPECT_NE(dark.heard.find("mean free path"), std::string::npos);
+  Listener dark, coarse, fine;
+  // More would be absorbed than enters: no picture of anything.
+  EXPECT_THROW(solve_polygrid_diffusion(ball.grid, ball.surface, test::grey_material({2, 1}), 1.5, sun(), {}, dark),
+               NumericalError);
   EXPECT_NE(dark.heard.find("reduced albedo"), std::string::npos);
-  EXPECT_NE(dark.heard.find("negative"), std::string::npos);
+  const DiffusionResult r =
+      solve_polygrid_diffusion(ball.grid, ball.surface, test::grey_material({0.3, 1}), 1.5, sun(), {}, coarse);
+  EXPECT_NE(coarse.heard.find("mean free path"), std::string::npos);
+  EXPECT_NE(coarse.heard.find("negative"), std::string::npos);
   EXPECT_GT(r.negative_vertices, 0);
   // Counted and kept: clamped values would not add up to the energy's.
   std::int64_t negative = 0;
