@@ -152,7 +152,8 @@ std::vector<SceneKey> make_schema() {
       {"method.tolerance", KeyType::number, "", 0.005, 1e-12, 0.5, false, {}, "relative error of the exitance"},
       word("method.operator", "elements", {"elements", "paper"},
            "discretisation: trilinear elements, or the paper's six-neighbour weights"),
-      word("method.source", "boundary", {"boundary", "first-collision"}, "where light becomes diffuse"),
+      word("method.source", "boundary", {"boundary", "first-collision"},
+           "where light becomes diffuse: at the surface, or where refracted beams first meet matter"),
       integer("method.samples_per_pixel", 16, 1, 65536, "camera rays a pixel"),
   };
 }

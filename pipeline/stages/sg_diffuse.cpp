@@ -67,6 +67,16 @@ void record(const DiffusionResult& r, nlohmann::json& results) {
                        {"relative_defect", channels(r.energy.relative_defect)},
                        {"entering_by_surface", channels(r.surface_entering)},
                        {"leaving_by_surface", channels(r.surface_leaving)}};
+  if (r.beams)
+    results["beams"] = {{"count", r.beams->beams},
+                        {"steps", r.beams->steps},
+                        {"cut_off", r.beams->cut_off},
+                        {"lost", r.beams->lost},
+                        {"cut_off_power", channels(r.beams->cut_off_power)},
+                        {"environment_lights", r.beams->environment_lights},
+                        {"entering", channels(r.beams->entering)},
+                        {"absorbed", channels(r.beams->absorbed)},
+                        {"leaving_unscattered", channels(r.beams->leaving)}};
   results["unknowns"] = r.solve.unknowns;
   results["multigrid_levels"] = r.solve.level_sizes;
   results["iterations"] = r.solve.iterations;
@@ -121,10 +131,14 @@ int main(int argc, char** argv) {
   program.option("--exitance", exitance_path, "the surface with its exitance; default exitance.ply beside the output");
   program.option("--operator", method, "elements conserves energy and is second order; paper is the 2008 one",
                  {"scene", "elements", "paper"});
-  program.option("--source", source, "where light becomes diffuse", {"scene", "boundary", "first-collision"});
+  program.option("--source", source,
+                 "where light becomes diffuse: at the surface, or where refracted beams first meet matter",
+                 {"scene", "boundary", "first-collision"});
   program.option("--tolerance", tolerance, "", "relative error of the exitance; 0: the scene's", 0, 0.5);
   program.option("--environment-samples", options.environment_samples, "",
                  "parallel lights that stand for an environment", 1, 65536);
+  program.option("--beam-samples", options.beam_samples, "",
+                 "the same for the source first-collision, whose beams cost more", 1, 65536);
   program.example("sg-diffuse scene.json polygrid.hdf surface.ply shell.vdb -o fluence.hdf --exitance exitance.ply",
                   "a heterogeneous object");
   return program.run(argc, argv, [&](StageRun& run) {

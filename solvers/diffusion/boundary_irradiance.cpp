@@ -10,13 +10,17 @@
 
 namespace shellgrid {
 
+double shadow_lift(const TriangleMesh& mesh, const SceneGeometry& geometry) {
+  double edges = 0;
+  for (int f = 0; f < mesh.face_count(); ++f) edges += (mesh.corner(f, 1) - mesh.corner(f, 0)).norm();
+  return std::max(0.05 * edges / std::max(1, mesh.face_count()), geometry.offset());
+}
+
 SurfaceIrradiance surface_irradiance(const TriangleMesh& mesh, const SceneGeometry& geometry,
                                      const std::vector<Light>& lights, double ior, int environment_samples) {
   const std::vector<SimpleLight> simple = simple_lights(lights, environment_samples);
   const VertexMatrix normals = vertex_normals(mesh);
-  double edges = 0;
-  for (int f = 0; f < mesh.face_count(); ++f) edges += (mesh.corner(f, 1) - mesh.corner(f, 0)).norm();
-  const double lift = std::max(0.05 * edges / std::max(1, mesh.face_count()), geometry.offset());
+  const double lift = shadow_lift(mesh, geometry);
 
   SurfaceIrradiance result;
   const auto count = static_cast<std::size_t>(mesh.vertex_count());

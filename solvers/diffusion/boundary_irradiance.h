@@ -23,4 +23,7 @@ struct SurfaceIrradiance {
 SurfaceIrradiance surface_irradiance(const TriangleMesh& mesh, const SceneGeometry& geometry,
                                      const std::vector<Light>& lights, double ior, int environment_samples);
 
+// How far above the surface shadow rays start, mm.
+double shadow_lift(const TriangleMesh& mesh, const SceneGeometry& geometry);
+
 }  // namespace shellgrid

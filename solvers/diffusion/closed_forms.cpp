@@ -58,6 +58,32 @@ double SlabSolution::fluence(double z) const {
   return a_ * std::exp(-decay_ * z) + b_ * std::exp(-decay_ * (thickness_ - z));
 }
 
+BeamSlabSolution::BeamSlabSolution(const DiffusionCoefficients& material, double thickness, double ior,
+                                   double irradiance)
+    : decay_(material.decay()), extinction_(material.absorption + material.reduced_scattering), thickness_(thickness) {
+  const double d = material.diffusion(), reach = 2 * diffuse_fresnel(ior).boundary_factor * d, k = decay_;
+  // φ = P e^{−σ_t' z} + a e^{−kz} + b e^{−k(T−z)}, or a + b z without absorption; φ + 2CD ∂φ/∂n = 0 at both ends.
+  particular_ = irradiance * material.reduced_scattering / (material.absorption - d * extinction_ * extinction_);
+  const double e = std::exp(-k * thickness), far = particular_ * std::exp(-extinction_ * thickness);
+  Eigen::Matrix2d system;
+  if (k > 0)
+    system << 1 + reach * k, e * (1 - reach * k), e * (1 - reach * k), 1 + reach * k;
+  else
+    system << 1, -reach, 1, thickness + reach;
+  const Eigen::Vector2d solution =
+      system.inverse() * Eigen::Vector2d(-particular_ * (1 + reach * extinction_), -far * (1 - reach * extinction_));
+  a_ = solution[0];
+  b_ = solution[1];
+  exitance_at_zero = fluence(0) * d / reach;
+  exitance_at_thickness = fluence(thickness) * d / reach;
+}
+
+double BeamSlabSolution::fluence(double z) const {
+  const double beam = particular_ * std::exp(-extinction_ * z);
+  if (decay_ == 0) return beam + a_ + b_ * z;
+  return beam + a_ * std::exp(-decay_ * z) + b_ * std::exp(-decay_ * (thickness_ - z));
+}
+
 SphereSolution::SphereSolution(const DiffusionCoefficients& material, double radius, double ior, double irradiance)
     : decay_(material.decay()) {
   const DiffuseFresnel f = diffuse_fresnel(ior);

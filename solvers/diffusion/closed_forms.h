@@ -24,6 +24,18 @@ struct SlabSolution {
   double decay_, thickness_, a_, b_;
 };
 
+// The same slab lit through z = 0 by a beam of the power `irradiance` per area along z that has passed the surface and
+// becomes diffuse at its first collision: q = 0, Q = σ_s' e^{−σ_t' z}. The beam's mirror image at the far side is left
+// out. Source: PHYSICS "Where light enters".
+struct BeamSlabSolution {
+  BeamSlabSolution(const DiffusionCoefficients& material, double thickness, double ior, double irradiance);
+  double fluence(double z) const;  // of the diffuse light
+  double exitance_at_zero = 0, exitance_at_thickness = 0;
+
+ private:
+  double decay_, extinction_, thickness_, a_, b_, particular_;
+};
+
 // A ball under uniform irradiance.
 struct SphereSolution {
   SphereSolution(const DiffusionCoefficients& material, double radius, double ior, double irradiance);

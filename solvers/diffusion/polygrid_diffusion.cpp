@@ -52,8 +52,15 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
     progress.warn("the diffuse mean free path spans fewer than 4 cells in " + percent(result.under_resolved) +
                   " of the object: expect errors above 0.5 %; try more nodes");
   if (result.dark > 0.001)
-    progress.warn("the reduced albedo is below 0.53 in " + percent(result.dark) +
-                  " of the object, where diffusion's exitance turns negative");
+    progress.warn("the reduced albedo is below 0.53 in " + percent(result.dark) + " of the object, where diffusion" +
+                  (result.beams ? " is off by a sixth and more" : "'s exitance turns negative"));
+  if (!result.beams) return;
+  double cut_off = 0;
+  for (int c = 0; c < 3; ++c)
+    if (result.beams->entering[c] > 0)
+      cut_off = std::max(cut_off, result.beams->cut_off_power[c] / result.beams->entering[c]);
+  if (cut_off > 1e-3)
+    progress.warn(percent(cut_off) + " of the beams' light was cut off on its way and left where it was");
   if (coefficients.floored > 0)
     progress.warn(std::to_string(coefficients.floored) + " of " + std::to_string(count) +
                   " material samples scatter almost nothing; light crosses them freely");
@@ -95,16 +102,30 @@ struct PointFields {
 };
 
 PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
-                           const std::vector<Rgb>& irradiance, const DiffusionOptions& options,
+                           const std::vector<Rgb>& irradiance, const BeamSource* beams, const DiffusionOptions& options,
                            DiffusionResult& result) {
   const PolygridSystem system = assemble_polygrid_system(polygrid, coefficients, ior);
   const std::size_t n = system.key.size();
   std::vector<Double4> q(n, Double4{}), fluence;
-  for (std::size_t u = 0; u < n; ++u) q[u] = to_double(to_lanes(irradiance[system.point_of_unknown[u]]));
+  std::vector<Double4> source(n);
+  if (beams) {
+    for (std::size_t u = 0; u < n; ++u) source[u] = beams->source[system.point_of_unknown[u]];
+  } else {
+    for (std::size_t u = 0; u < n; ++u) q[u] = to_double(to_lanes(irradiance[system.point_of_unknown[u]]));
+    source = boundary_source(system, q);
+  }
   Multigrid multigrid(system);
-  result.solve = solve_conjugate_gradients(system, multigrid, boundary_source(system, q), q, options.tolerance,
-                                           options.most_iterations, fluence);
+  result.solve =
+      solve_conjugate_gradients(system, multigrid, source, q, options.tolerance, options.most_iterations, fluence);
   result.energy = energy_balance(system, fluence, q);
+  if (beams) {
+    EnergyBalance& energy = result.energy;
+    energy.entering = beams->entering;
+    energy.leaving += beams->leaving;
+    energy.absorbed += beams->absorbed;
+    energy.relative_defect = safe_quotient(energy.entering - energy.leaving - energy.absorbed, energy.entering);
+    for (int c = 0; c < 4; ++c) energy.relative_defect[c] = std::abs(energy.relative_defect[c]);
+  }
   const std::vector<Double4> exitance = boundary_exitance(system, fluence, q);
   PointFields fields{std::vector<Rgb>(n), std::vector<Rgb>(n)};
   for (std::size_t u = 0; u < n; ++u) {
@@ -201,8 +222,11 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
     throw InputError("tolerance " + std::to_string(options.tolerance) + ": expected more than 0 and less than 1");
   if (options.operator_name != "elements" && options.operator_name != "paper")
     throw InputError("operator " + options.operator_name + ": expected elements or paper");
-  if (options.source != "boundary")
-    throw InputError("source " + options.source + ": the polygrid solver lets light in at the boundary only");
+  if (options.source != "boundary" && options.source != "first-collision")
+    throw InputError("source " + options.source + ": expected boundary or first-collision");
+  const bool beams = options.source == "first-collision";
+  if (beams && options.operator_name != "elements")
+    throw InputError("source first-collision: only the operator elements takes it");
   if (lights.empty()) throw InputError("scene: it has no lights");
   DiffusionResult result;
 
@@ -225,11 +249,19 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
                                             : sample_coefficients(polygrid, *std::get<const ShellVolume*>(material));
   progress.end();
 
+  if (beams) {
+    progress.begin("beams", 1);
+    result.beams = first_collision_source(polygrid, coefficients, surface, geometry, lights, ior, options.beam_samples);
+    progress.end();
+  }
+
   progress.begin("diffusion", 1);
   const std::vector<Rgb> point_irradiance = transfer.to_points(irradiance.values);
   PointFields fields = options.operator_name == "paper"
                            ? solve_paper(polygrid, coefficients, ior, point_irradiance, options, result)
-                           : solve_elements(polygrid, coefficients, ior, point_irradiance, options, result);
+                           : solve_elements(polygrid, coefficients, ior, point_irradiance,
+                                            result.beams ? &*result.beams : nullptr, options, result);
+  if (result.beams) result.beams->source.clear();
   progress.end();
   judge_material(polygrid, coefficients, result, progress);
 

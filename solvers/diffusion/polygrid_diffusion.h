@@ -10,6 +10,7 @@
 #include "meshing/core/triangle_mesh.h"
 #include "meshing/polycube/polygrid.h"
 #include "meshing/shell/shell_volume.h"
+#include "solvers/diffusion/beam_source.h"
 #include "solvers/diffusion/core_extension.h"
 #include "solvers/diffusion/multigrid.h"
 #include "solvers/render/lights.h"
@@ -21,14 +22,16 @@ struct DiffusionOptions {
   std::string source = "boundary";         // or "first-collision"
   double tolerance = 0.005;                // relative error of the exitance
   int environment_samples = 256;           // parallel lights that stand for an environment
+  int beam_samples = 64;                   // the same where each becomes beams through the object
   int most_iterations = 200;
 };
 
 struct DiffusionResult {
-  std::vector<Rgb> fluence;     // one a point of the polygrid, W mm⁻²
-  std::vector<Rgb> exitance;    // one a vertex of the surface, W mm⁻²; negative where diffusion fails
-  std::vector<Rgb> irradiance;  // q, one a vertex of the surface, W mm⁻²
-  EnergyBalance energy;
+  std::vector<Rgb> fluence;         // one a point of the polygrid, W mm⁻²
+  std::vector<Rgb> exitance;        // one a vertex of the surface, W mm⁻²; negative where diffusion fails
+  std::vector<Rgb> irradiance;      // q, one a vertex of the surface, W mm⁻²
+  EnergyBalance energy;             // with the beams'
+  std::optional<BeamSource> beams;  // of the source first-collision; without its field
   SolveReport solve;
   Eigen::Array3d surface_entering, surface_leaving;  // ∫ q and ∫ M over the mesh, W: near the energy's by the grid
   std::int64_t negative_vertices = 0;                // vertices with a negative M in some channel
@@ -44,6 +47,8 @@ struct DiffusionResult {
 
 // Solves D1–D3 on the polygrid. The irradiance is found at the surface's vertices, with shadows, and averaged over the
 // hat functions of the outer points; the exitance is M of D3 at the outer points, carried to the vertices.
+// With the source first-collision the refracted beams light the volume instead, q is 0 in D2 and D3, and what beams
+// lose to absorption or carry through the object counts in D4; fluence and exitance are those of the diffuse light.
 // Both terms of M use the averaged irradiance: with the sharp one, φ being smooth, a shadow's edge would
 // show as a dark fringe on its lit side, and energy would not add up.
 // `material`: the shell with its core, or one homogeneous material. `ior` ≥ 1.

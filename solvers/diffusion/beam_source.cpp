@@ -1,0 +1,325 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/diffusion/beam_source.h"
+
+#include <oneapi/tbb/enumerable_thread_specific.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "meshing/surface/closest_point.h"
+#include "solvers/diffusion/boundary_irradiance.h"
+#include "solvers/diffusion/cell_walk.h"
+#include "solvers/render/surface_render.h"
+#include "solvers/scattering/fresnel.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr double negligible = 1e-4;  // of a beam's power
+constexpr int most_steps = 20000, most_bounces = 64;
+constexpr double first_depth = 0.15, last_depth = 0.6, depth_growth = 1.2;  // optical, of steps
+
+struct Tally {
+  Double4 entering = {}, absorbed = {}, leaving = {}, cut_off_power = {};
+  std::int64_t beams = 0, steps = 0, cut_off = 0, lost = 0;
+};
+
+// Adds to a few of many points and lists them again.
+class SparseSum {
+ public:
+  void add(std::int32_t point, Double4 value, std::size_t points) {
+    if (values_.empty()) values_.assign(points, Double4{}), listed_.assign(points, 0);
+    if (!listed_[point]) listed_[point] = 1, touched_.push_back(point);
+    values_[point] += value;
+  }
+  std::vector<std::pair<std::int32_t, Double4>> take() {
+    std::vector<std::pair<std::int32_t, Double4>> result;
+    result.reserve(touched_.size());
+    for (const std::int32_t point : touched_) {
+      result.emplace_back(point, values_[point]);
+      values_[point] = Double4{};
+      listed_[point] = 0;
+    }
+    touched_.clear();
+    return result;
+  }
+
+ private:
+  std::vector<Double4> values_;
+  std::vector<char> listed_;
+  std::vector<std::int32_t> touched_;
+};
+
+struct Extinction {
+  Double4 absorption, total;
+};
+
+class BeamTracer {
+ public:
+  BeamTracer(const Polygrid& polygrid, const CellNeighbours& neighbours, const CellCoefficients& coefficients,
+             double ior, SparseSum& sum, Tally& tally)
+      : polygrid_(polygrid),
+        neighbours_(neighbours),
+        coefficients_(coefficients),
+        ior_(ior),
+        sum_(sum),
+        tally_(tally) {}
+
+  void trace(std::int32_t quad, const EnteringBeam& beam) {
+    const double s = beam.s, t = beam.t;
+    const auto& corners = neighbours_.quad_corners[quad];
+    CellPlace place{neighbours_.quad_cell[quad], (1 - s) * (1 - t) * corners[0] + s * (1 - t) * corners[1] +
+                                                     s * t * corners[2] + (1 - s) * t * corners[3]};
+    Vec3 point = position(place), direction = beam.direction;
+    Double4 power = beam.power;
+    ++tally_.beams;
+    tally_.entering += power;
+    double depth = first_depth;
+    int bounces = 0;
+    for (int step = 0; step < most_steps && bounces <= most_bounces; ++step) {
+      if (spent(power, beam.power)) return leave_rest(place, power);
+      ++tally_.steps;
+      const Extinction here = extinction(place);
+      const double strongest = std::max({here.total[0], here.total[1], here.total[2]});
+      double length = std::min(depth / strongest, 0.5 * polygrid_.spacing);
+      depth = std::min(last_depth, depth * depth_growth);
+      CellPlace end = place;
+      int face = -1;
+      const WalkEnd outcome = walk_to(polygrid_, neighbours_, point + length * direction, end, face);
+      CellPlace outside = end;
+      if (outcome != WalkEnd::inside) {
+        if (outcome == WalkEnd::lost) face = -1;
+        length = way_to_surface(point, direction, length, place, end, outside, face);
+      }
+      deposit(place, end, length, here, power);
+      place = end;
+      point += length * direction;
+      if (outcome == WalkEnd::inside) continue;
+      if (face < 0) {
+        ++tally_.lost;
+        tally_.cut_off_power += power;
+        return leave_rest(place, power);
+      }
+      const Vec3 normal = face_normal(polygrid_, outside, face);
+      const double cosine = direction.dot(normal);
+      if (neighbours_.quad[outside.cell][face] >= 0) {
+        const double reflected = fresnel_reflectance(std::clamp(cosine, 0.0, 1.0), 1 / ior_);
+        tally_.leaving += (1 - reflected) * power;
+        power *= reflected;
+      }
+      direction = (direction - 2 * std::max(cosine, 0.0) * normal).normalized();
+      ++bounces;
+    }
+    ++tally_.cut_off;
+    tally_.cut_off_power += power;
+    leave_rest(place, power);
+  }
+
+ private:
+  Vec3 position(const CellPlace& place) const {
+    const TrilinearShape shape(place.reference);
+    Vec3 x = Vec3::Zero();
+    for (int a = 0; a < 8; ++a) x += shape.value[a] * polygrid_.points.row(polygrid_.cells(place.cell, a)).transpose();
+    return x;
+  }
+
+  static bool spent(Double4 power, Double4 initial) {
+    for (int c = 0; c < 3; ++c)
+      if (power[c] > negligible * initial[c]) return false;
+    return true;
+  }
+
+  // Of the Gauss point nearest in reference coordinates.
+  Extinction extinction(const CellPlace& place) const {
+    static constexpr int corner_at[2][2][2] = {{{0, 4}, {3, 7}}, {{1, 5}, {2, 6}}};
+    const int corner = corner_at[place.reference.x() > 0.5][place.reference.y() > 0.5][place.reference.z() > 0.5];
+    const std::size_t at = 8 * static_cast<std::size_t>(place.cell) + corner;
+    return {to_double(to_lanes(coefficients_.absorption[at])),
+            to_double(to_lanes(coefficients_.reduced_extinction[at]))};
+  }
+
+  // Halves the step that left the grid until its end is known; `end` becomes the last place inside.
+  double way_to_surface(const Vec3& point, const Vec3& direction, double length, const CellPlace& start, CellPlace& end,
+                        CellPlace& outside, int& face) const {
+    double inside = 0, beyond = length;
+    end = start;
+    for (int halving = 0; halving < 24; ++halving) {
+      const double middle = 0.5 * (inside + beyond);
+      CellPlace probe = end;
+      int left_by = -1;
+      const WalkEnd outcome = walk_to(polygrid_, neighbours_, point + middle * direction, probe, left_by);
+      if (outcome == WalkEnd::inside) {
+        inside = middle;
+        end = probe;
+      } else {
+        beyond = middle;
+        if (outcome == WalkEnd::surface) outside = probe, face = left_by;
+      }
+    }
+    return inside;
+  }
+
+  void scatter(const CellPlace& place, Double4 power) {
+    const TrilinearShape shape(place.reference);
+    for (int a = 0; a < 8; ++a)
+      sum_.add(polygrid_.cells(place.cell, a), shape.value[a] * power, polygrid_.points.rows());
+  }
+
+  // What the step takes from the beam.
+  void deposit(const CellPlace& start, const CellPlace& end, double length, const Extinction& here, Double4& power) {
+    const Extinction there = extinction(end);
+    Double4 at_start = {}, at_end = {};
+    for (int c = 0; c < 3; ++c) {
+      const double total = 0.5 * (here.total[c] + there.total[c]), depth = total * length;
+      const double lost = power[c] * -std::expm1(-depth);
+      const double absorbed = lost * (0.5 * (here.absorption[c] + there.absorption[c]) / total);
+      // Centroid of e^{−x} over 0 … depth, as a share of the step.
+      const double centroid = depth < 1e-3 ? 0.5 - depth / 12 : 1 / depth - 1 / std::expm1(depth);
+      const double scattered = lost - absorbed;
+      at_end[c] = scattered * centroid;
+      at_start[c] = scattered - at_end[c];
+      tally_.absorbed[c] += absorbed;
+      power[c] -= lost;
+    }
+    scatter(start, at_start);
+    scatter(end, at_end);
+  }
+
+  void leave_rest(const CellPlace& place, Double4 power) {
+    const Extinction here = extinction(place);
+    const Double4 absorbed = power * safe_quotient(here.absorption, here.total);
+    tally_.absorbed += absorbed;
+    scatter(place, power - absorbed);
+  }
+
+  const Polygrid& polygrid_;
+  const CellNeighbours& neighbours_;
+  const CellCoefficients& coefficients_;
+  double ior_;
+  SparseSum& sum_;
+  Tally& tally_;
+};
+
+struct QuadPoint {
+  Vec3 position, normal;
+  double area = 0;  // mm² a unit of s·t
+};
+
+QuadPoint quad_point(const Polygrid& polygrid, std::int32_t quad, double s, double t) {
+  Vec3 x[4];
+  for (int a = 0; a < 4; ++a) x[a] = polygrid.points.row(polygrid.boundary_quads(quad, a)).transpose();
+  const Vec3 along_s = (1 - t) * (x[1] - x[0]) + t * (x[2] - x[3]);
+  const Vec3 along_t = (1 - s) * (x[3] - x[0]) + s * (x[2] - x[1]);
+  QuadPoint point;
+  point.position = (1 - s) * (1 - t) * x[0] + s * (1 - t) * x[1] + s * t * x[2] + (1 - s) * t * x[3];
+  point.normal = along_s.cross(along_t);
+  point.area = point.normal.norm();
+  if (point.area > 0) point.normal /= point.area;
+  return point;
+}
+
+// Snell's law; `towards` points to the light.
+Vec3 refracted(const Vec3& towards, const Vec3& normal, double cosine, double ior) {
+  const double inside = std::sqrt(std::max(0.0, 1 - (1 - cosine * cosine) / (ior * ior)));
+  return (-towards / ior + (cosine / ior - inside) * normal).normalized();
+}
+
+}  // namespace
+
+BeamSource trace_beams(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
+                       const std::function<void(std::int32_t quad, std::vector<EnteringBeam>& list)>& beams_of) {
+  if (!(ior >= 1)) throw InputError("the refractive index must be at least 1");
+  const CellNeighbours neighbours(polygrid);
+  const auto quads = static_cast<std::size_t>(polygrid.boundary_quads.rows());
+  constexpr std::size_t chunk = 128;
+  struct Part {
+    std::vector<std::pair<std::int32_t, Double4>> source;
+    Tally tally;
+  };
+  std::vector<Part> parts((quads + chunk - 1) / chunk);
+  oneapi::tbb::enumerable_thread_specific<SparseSum> sums;
+  parallel_chunks(quads, chunk, [&](std::size_t begin, std::size_t end) {
+    Part& part = parts[begin / chunk];
+    SparseSum& sum = sums.local();
+    BeamTracer tracer(polygrid, neighbours, coefficients, ior, sum, part.tally);
+    std::vector<EnteringBeam> list;
+    for (std::size_t quad = begin; quad < end; ++quad) {
+      list.clear();
+      beams_of(static_cast<std::int32_t>(quad), list);
+      for (const EnteringBeam& beam : list) tracer.trace(static_cast<std::int32_t>(quad), beam);
+    }
+    part.source = sum.take();
+  });
+  BeamSource result;
+  result.source.assign(polygrid.points.rows(), Double4{});
+  for (const Part& part : parts) {
+    for (const auto& [point, power] : part.source) result.source[point] += power;
+    result.entering += part.tally.entering;
+    result.absorbed += part.tally.absorbed;
+    result.leaving += part.tally.leaving;
+    result.beams += part.tally.beams;
+    result.steps += part.tally.steps;
+    result.cut_off += part.tally.cut_off;
+    result.lost += part.tally.lost;
+    result.cut_off_power += part.tally.cut_off_power;
+  }
+  return result;
+}
+
+BeamSource first_collision_source(const Polygrid& polygrid, const CellCoefficients& coefficients,
+                                  const TriangleMesh& surface, const SceneGeometry& geometry,
+                                  const std::vector<Light>& lights, double ior, int environment_samples) {
+  constexpr double most_beams = 2e6;
+  const int affordable = std::max(
+      16, static_cast<int>(most_beams / std::max<double>(1, static_cast<double>(polygrid.boundary_quads.rows()))));
+  std::vector<SimpleLight> single, parts;
+  for (const Light& light : lights) {
+    const bool environment = std::holds_alternative<EnvironmentLight>(light);
+    for (const SimpleLight& simple : simple_lights({light}, std::min(environment_samples, affordable)))
+      (environment ? parts : single).push_back(simple);
+  }
+  const VertexMatrix normals = vertex_normals(surface);
+  const ClosestPointQuery query(surface);
+  const double lift = shadow_lift(surface, geometry);
+  static constexpr double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+
+  auto beams_of = [&](std::int32_t quad, std::vector<EnteringBeam>& list) {
+    for (int place = 0; place < 4; ++place) {
+      const double s = gauss[place & 1], t = gauss[place >> 1];
+      const QuadPoint at = quad_point(polygrid, quad, s, t);
+      const SurfacePoint nearest = query.nearest(at.position);
+      Vec3 normal = Vec3::Zero();
+      for (int k = 0; k < 3; ++k)
+        normal += nearest.barycentric[k] * normals.row(surface.faces(nearest.face_index, k)).transpose();
+      const double length = normal.norm();
+      normal = length > 0 ? Vec3(normal / length) : at.normal;
+      const Vec3 origin = nearest.point + lift * normal;
+      auto add = [&](const SimpleLight& light, double area) {
+        const IncidentBeam incident = incident_beam(light, nearest.point);
+        const double cosine = normal.dot(incident.direction);
+        if (!(cosine > 0) || geometry.occluded(origin, incident.direction, incident.distance)) return;
+        EnteringBeam beam;
+        beam.s = s;
+        beam.t = t;
+        beam.direction = refracted(incident.direction, normal, cosine, ior);
+        // Where the mesh's normal and the quad's differ much, a beam must still go in.
+        if (beam.direction.dot(at.normal) > -0.02) beam.direction = -at.normal;
+        const Double4 irradiance = to_double(to_lanes(incident.irradiance));
+        beam.power = irradiance * (area * cosine * fresnel_transmittance(cosine, ior));
+        list.push_back(beam);
+      };
+      for (const SimpleLight& light : single) add(light, 0.25 * at.area);
+      for (std::size_t k = 0; k < parts.size(); ++k)
+        if (static_cast<int>((k + static_cast<std::size_t>(quad)) % 4) == place) add(parts[k], at.area);
+    }
+  };
+  BeamSource result = trace_beams(polygrid, coefficients, ior, beams_of);
+  result.environment_lights = static_cast<int>(parts.size());
+  return result;
+}
+
+}  // namespace shellgrid
