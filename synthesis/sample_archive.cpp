@@ -157,12 +157,14 @@ MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& opti
     archive.get<float>(main).for_each_active(include);
   if ((lower.array() > upper.array()).any())
     throw InputError(archive.path + ": the grid '" + main + "' has no active voxels");
-  MaterialSample sample;
-  sample.size = upper - lower + Vec3i::Ones();
-  if (sample.size.cast<double>().prod() > 2e8 || sample.size.x() < 4 || sample.size.y() < 4)
+  // Far corners may lie more than 2³¹ apart.
+  const Vec3 extent = upper.cast<double>() - lower.cast<double>() + Vec3::Ones();
+  if (extent.prod() > 2e8 || extent.x() < 4 || extent.y() < 4)
     throw InputError(fmt::format(
         "{}: the active voxels fill {} x {} x {}; a sample has 4 voxels at least in x and y and 2e8 at most in all",
-        archive.path, sample.size.x(), sample.size.y(), sample.size.z()));
+        archive.path, extent.x(), extent.y(), extent.z()));
+  MaterialSample sample;
+  sample.size = extent.cast<int>();
   sample.voxel = archive.frame.voxel;
   sample.ior = options.ior;
   allocate(sample);

@@ -28,6 +28,11 @@ struct LaneVector {
   Lanes x, y, z;
 };
 
+// One coordinate of a cell's eight corners.
+inline void gather(const double* points, const LatticeHexahedron& cell, int axis, Lanes& out) {
+  const auto at = [&](int k) { return points[3 * static_cast<std::size_t>(cell[k]) + static_cast<std::size_t>(axis)]; };
+  out = Lanes{at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7)};
+}
 inline void cross(const LaneVector& a, const LaneVector& b, LaneVector& out) {
   out.x = a.y * b.z - a.z * b.y;
   out.y = a.z * b.x - a.x * b.z;
@@ -139,11 +144,9 @@ double HexahedraOptimization::evaluate(const VertexMatrix& points, double epsilo
           double lowest = std::numeric_limits<double>::max();
           for (std::int32_t c : bricks[brick]) {
             const LatticeHexahedron& cell = cells_[c];
-            LaneVector p = {};
-            for (int k = 0; k < 8; ++k) {
-              const double* row = points.data() + 3 * static_cast<std::size_t>(cell[k]);
-              p.x[k] = row[0], p.y[k] = row[1], p.z[k] = row[2];
-            }
+            LaneVector p;
+            gather(points.data(), cell, 0, p.x), gather(points.data(), cell, 1, p.y),
+                gather(points.data(), cell, 2, p.z);
             const double stretch = inverse_height_[c];
             LaneVector corner_a, corner_b, corner_d, g = {};
             edge(p.x, flip_x, sign_x, corner_a.x), edge(p.y, flip_x, sign_x, corner_a.y),

@@ -19,14 +19,14 @@ struct PlannedStage {
   std::string name;     // "prepare"
   std::string purpose;  // what it makes, in a few words
   bool needed = true;
-  std::string reason;  // why it runs or is left out
+  std::string reason = {};  // why it runs or is left out
   // Words of its command line. "@mesh" stands for the external file of that name.
-  std::vector<std::string> arguments;
-  std::vector<std::string> artefacts;  // read: outputs of earlier stages
-  std::vector<ExternalFile> files;     // read: files from outside
-  std::vector<std::string> outputs;    // written; the first is the primary one
-  std::vector<std::string> views;      // written beside it, for a mesh viewer
-  nlohmann::json slice = nullptr;      // the part of the scene it reads, as plan/NAME.json; null: none
+  std::vector<std::string> arguments = {};
+  std::vector<std::string> artefacts = {};  // read: outputs of earlier stages
+  std::vector<ExternalFile> files = {};     // read: files from outside
+  std::vector<std::string> outputs = {};    // written; the first is the primary one
+  std::vector<std::string> views = {};      // written beside it, for a mesh viewer
+  nlohmann::json slice = nullptr;           // the part of the scene it reads, as plan/NAME.json; null: none
 
   std::string program() const { return "sg-" + name; }
 };

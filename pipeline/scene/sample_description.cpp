@@ -173,12 +173,12 @@ SamplePattern read_pattern(DescriptionSection& root, const std::string& type) {
 
 // Keeps the top layers of a volume, as many as the thickness holds.
 void cut(MaterialSample& sample, double thickness, const std::string& path) {
-  const int layers = static_cast<int>(std::ceil(thickness / sample.voxel - 1e-6));
-  if (layers > sample.size.z())
+  const double layers = std::ceil(thickness / sample.voxel - 1e-6);
+  if (!(layers <= sample.size.z()))
     throw InputError(
         fmt::format("{}: the volume is {} mm thick, {} mm are wanted; lower the thickness or enlarge the voxel", path,
                     sample.size.z() * sample.voxel, thickness));
-  sample.size.z() = std::max(1, layers);
+  sample.size.z() = std::max(1, static_cast<int>(layers));
   const std::size_t count = sample.voxel_count();
   for (std::vector<Vec3f>* values : {&sample.extinction, &sample.albedo, &sample.anisotropy, &sample.normal})
     values->resize(count);
@@ -255,7 +255,11 @@ MaterialSample load_sample(const std::string& path, const SampleOverrides& overr
   if (settings.seed) definition.seed = *settings.seed;
   definition.pattern = read_pattern(root, type);
   root.finish();
-  return make_procedural_sample(definition);
+  try {
+    return make_procedural_sample(definition);
+  } catch (const InputError& error) {
+    throw InputError(path + ": " + error.what());
+  }
 }
 
 }  // namespace shellgrid

@@ -67,7 +67,8 @@ class MeshLabReadsEveryView(unittest.TestCase):
         if planned.returncode != 0:
             raise AssertionError(planned.stderr)
         alone = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-        made = subprocess.run(["make", "-C", cls.out], capture_output=True, text=True, timeout=900, env=alone)
+        made = subprocess.run(["make", "-C", cls.out], capture_output=True, text=True, timeout=900 * programs.SLOWNESS,
+                              env=alone)
         if made.returncode != 0:
             raise AssertionError(made.stdout + made.stderr)
         cls.plys = sorted(name for name in os.listdir(cls.out) if name.endswith(".ply"))

@@ -7,13 +7,15 @@ import subprocess
 import tempfile
 
 BIN = os.environ.get("SG_BIN", os.path.join(os.getcwd(), "build", "bin"))
+# How many times longer everything takes than in a release build.
+SLOWNESS = float(os.environ.get("SG_SLOWNESS", "1"))
 SOURCE = os.environ.get("SG_SOURCE", os.getcwd())
 
 
 def run(program, *arguments, cwd=None, timeout=300, env=None, preexec=None):
     """Runs sg-PROGRAM and returns the finished process, with its output as text."""
     return subprocess.run([os.path.join(BIN, "sg-" + program), *map(str, arguments)], cwd=cwd, text=True, errors="replace",
-                          stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout,
+                          stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout * SLOWNESS,
                           env={**os.environ, **(env or {})}, preexec_fn=preexec)
 
 

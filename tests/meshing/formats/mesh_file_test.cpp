@@ -121,8 +121,8 @@ TEST(MeshFile, ReadsObjWithRelativeIndicesAndTextures) {
 TEST(MeshFile, ReadsOffVariants) {
   const TemporaryFolder folder;
   const std::string body = "0 0 0\n1 0 0\n\n# c\n0 1 0\n3 0 1 2\n";
-  for (const std::string& header : {"OFF\n3 1 0\n", "OFF 3 1 0\n", "# c\nOFF\n\n3 1\n", "COFF\n3 1 0\n"}) {
-    write_raw(folder / "a.off", header + body);
+  for (const char* header : {"OFF\n3 1 0\n", "OFF 3 1 0\n", "# c\nOFF\n\n3 1\n", "COFF\n3 1 0\n"}) {
+    write_raw(folder / "a.off", std::string(header) + body);
     EXPECT_EQ(read_mesh(folder / "a.off").mesh.face_count(), 1) << header;
   }
 }
@@ -236,7 +236,16 @@ TEST(MeshFile, SurvivesDamage) {
   write_raw(folder / "e.stl",
             "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
             "endsolid a\n");
-  for (const char* name : {"a.ply", "b.ply", "c.off", "d.obj", "e.stl"}) {
+  std::string stl(80, ' ');
+  const auto put = [&](auto value) { stl.append(reinterpret_cast<const char*>(&value), sizeof value); };
+  put(std::uint32_t{8});
+  for (int f = 0; f < 8; ++f) {
+    for (int k = 0; k < 4; ++k)
+      for (int axis = 0; axis < 3; ++axis) put(k == 0 ? 0.0f : static_cast<float>(mesh.corner(f, k - 1)[axis]));
+    put(std::uint16_t{0});
+  }
+  write_raw(folder / "f.stl", stl);
+  for (const char* name : {"a.ply", "b.ply", "c.off", "d.obj", "e.stl", "f.stl"}) {
     const std::string path = folder / name;
     expect_survives_damage(
         path, [&] { read_mesh(path); }, 150, 600);

@@ -218,5 +218,13 @@ TEST(VdbFile, SurvivesDamage) {
       path, [&] { read_vdb(path); }, 40, 120);
 }
 
+TEST(VdbFile, DistanceFieldSurvivesDamage) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "d.vdb";
+  write_distance_field(path, sphere_field(1, 0.5));
+  expect_survives_damage(
+      path, [&] { read_distance_field(path); }, 20, 120);
+}
+
 }  // namespace
 }  // namespace shellgrid

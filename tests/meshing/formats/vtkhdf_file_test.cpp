@@ -183,5 +183,21 @@ TEST(VtkhdfFile, SurvivesDamage) {
       path, [&] { read_vtkhdf(path); }, 40, 160);
 }
 
+TEST(VtkhdfFile, PolygridsAndTetrahedraSurviveDamage) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "p.hdf", tetrahedra_path = folder / "t.hdf";
+  write_polygrid(path, one_cell());
+  expect_survives_damage(
+      path, [&] { read_polygrid(path); }, 20, 120);
+  TetrahedralMesh mesh;
+  mesh.points.resize(4, 3);
+  mesh.points << 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1;
+  mesh.tetrahedra.resize(1, 4);
+  mesh.tetrahedra << 0, 1, 2, 3;
+  write_tetrahedra(tetrahedra_path, mesh);
+  expect_survives_damage(
+      tetrahedra_path, [&] { read_tetrahedra(tetrahedra_path); }, 20, 120);
+}
+
 }  // namespace
 }  // namespace shellgrid

@@ -18,7 +18,7 @@ int iterations(int n, double layer, const DiffusionCoefficients& material, doubl
   return test::solve_problem(
              grid, coefficients, 1.5,
              [](const Vec3& p) {
-               return Double4{p.z() > 0, 1, p.x() > 2, 0};
+               return Double4{p.z() > 0 ? 1.0 : 0.0, 1, p.x() > 2 ? 1.0 : 0.0, 0};
              },
              1e-6)
       .report.iterations;
@@ -86,7 +86,7 @@ TEST(Multigrid, AStartAtTheSolutionNeedsNoIterations) {
   const Polygrid grid = test::ball_grid(10, 10, 0.1);
   auto p =
       test::solve_problem(grid, homogeneous_coefficients(grid, test::grey_material({0.01, 1})), 1.5, [](const Vec3& x) {
-        return Double4{x.z() > 0, 1, 0, 0};
+        return Double4{x.z() > 0 ? 1.0 : 0.0, 1, 0, 0};
       });
   Multigrid multigrid(p.system);
   const SolveReport again = solve_conjugate_gradients(p.system, multigrid, boundary_source(p.system, p.irradiance),

@@ -221,7 +221,9 @@ TEST(SurfaceRender, DepthAgreesWithTheSphere) {
   for (int y = 0; y < camera.height; ++y)
     for (int x = 0; x < camera.width; ++x) {
       const std::size_t i = static_cast<std::size_t>(y) * camera.width + x;
-      if (alpha[i] == 0) EXPECT_EQ(depth[i], 0);
+      if (alpha[i] == 0) {
+        EXPECT_EQ(depth[i], 0);
+      }
       const Vec3 direction = rays.direction(x + 0.5, y + 0.5);
       const double along = -rays.origin().dot(direction);
       const double miss2 = rays.origin().squaredNorm() - along * along;

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <gtest/gtest.h>
+
+#include "meshing/formats/vdb_file.h"
+#include "pipeline/scene/sample_description.h"
+#include "pipeline/scene/scene.h"
+#include "synthesis/procedural_sample.h"
+#include "synthesis/sample_archive.h"
+#include "tests/meshing/formats/format_shapes.h"
+
+namespace shellgrid {
+namespace {
+
+TEST(SceneFile, SurvivesDamage) {
+  const TemporaryFolder folder;
+  write_raw(folder / "m.off", "OFF\n");
+  write_raw(folder / "s.json", "{}\n");
+  const std::string path = folder / "scene.json";
+  write_raw(path, R"({ // a comment
+    "object": {"mesh": "m.off", "size": 60, "ior": 1.3, "close_holes": true},
+    "material": {"shell": {"sample": "s.json", "thickness": 3, "voxel": 0.5}, "core": {"named": "marble"}},
+    "lights": [{"type": "directional", "direction": [0, 0, -2], "irradiance": [1, 2, 3]},
+               {"type": "point", "position": [1, 2, 3], "intensity": 4},
+               {"type": "environment", "zenith": 1, "lamps": [{"direction": [0, 3, 0], "half_angle": 90, "radiance": 2}]}],
+    "camera": {"position": [0, 0, 100], "look_at": [0, 1, 0], "up": [0, 2, 0], "fov": 20, "resolution": [32, 16]},
+    "method": {"type": "polygrid-diffusion", "nodes": 2e4, "tolerance": 0.01, "samples_per_pixel": 4}})");
+  read_scene(path);
+  expect_survives_damage(
+      path, [&] { read_scene(path); }, 150, 3000);
+}
+
+TEST(SampleDescription, SurvivesDamage) {
+  const TemporaryFolder folder;
+  const std::string body = R"("materials": {"body": {"absorption": [0.01, 0.02, 0.03], "scattering": [2, 2, 3]}, )";
+  const std::vector<std::string> descriptions{
+      R"({"type": "marble", "size": [9, 8], "voxel": 0.4, "thickness": 2, "ior": 1.5, "seed": 1, )" + body +
+          R"("vein": {"named": "marble"}}, "warp": 6, "veins": [{"cells": 2, "width": 0.9, "waves_x": 1}]})",
+      R"({"type": "spots", "size": [9, 8], "voxel": 0.4, "thickness": 2, )" + body +
+          R"("spot": {"absorption": 1, "scattering": 2, "anisotropy": 0.5}}, "count": 3, "radius": 1})",
+      R"({"type": "bumps", "size": [9, 8], "voxel": 0.4, "thickness": 3, )" + body +
+          R"("bump": {"absorption": 1, "scattering": 2}}, "count": 2, "radius": 0.8, "lift": 0.4})",
+      R"({"type": "layers", "size": [9, 8], "voxel": 0.4, "thickness": 2, "waviness": 1, "cells": 2,
+          "layers": [{"material": {"absorption": 1, "scattering": 2}, "thickness": 1}]})",
+  };
+  const std::string path = folder / "sample.json";
+  for (const std::string& description : descriptions) {
+    write_raw(path, description);
+    load_sample(path, {});
+    expect_survives_damage(
+        path, [&] { load_sample(path, {}); }, 50, 400);
+  }
+}
+
+SampleDefinition small_layers() {
+  SampleDefinition definition;
+  definition.width = definition.height = 8;
+  definition.thickness = 3 * definition.voxel;
+  LayersPattern pattern;
+  pattern.layers = {{Material::from_absorption_scattering(Rgb::Ones(), Rgb::Ones(), Rgb::Zero()), 1}};
+  definition.pattern = pattern;
+  return definition;
+}
+
+TEST(SampleVolume, SurvivesDamage) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "sample.vdb";
+  const VdbArchive archive = archive_sample(make_procedural_sample(small_layers()));
+  write_vdb(path, archive);
+  SampleOverrides overrides;
+  overrides.thickness = 0.4;
+  expect_survives_damage(
+      path, [&] { load_sample(path, overrides); }, 30, 120);
+}
+
+TEST(SampleVolume, RefusesCutsThinnerThanNothingAndThickerThanTheVolume) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "sample.vdb";
+  write_vdb(path, archive_sample(make_procedural_sample(small_layers())));
+  SampleOverrides overrides;
+  overrides.voxel = 1e-6;
+  overrides.thickness = 1e4;
+  EXPECT_NE(input_error_of([&] { load_sample(path, overrides); }).find("10000 mm are wanted"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace shellgrid
