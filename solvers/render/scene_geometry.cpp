@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 
 namespace shellgrid {
 
@@ -52,6 +53,10 @@ SceneGeometry::SceneGeometry(const TriangleMesh& mesh) : impl_(std::make_unique<
   impl_->scale = (upper - lower).maxCoeff();
   if (!(impl_->scale > 0)) throw InputError("the surface is a single point");
 
+  // Embree builds with denormal numbers flushed to zero. Where its build is the process's first parallel work, all
+  // later work on TBB inherits that, and results depend on what ran before; so something else goes first.
+  parallel_for(
+      64, [](std::size_t) {}, 1);
   impl_->device = rtcNewDevice(nullptr);
   if (!impl_->device) throw InternalError("Embree gives no device");
   impl_->scene = rtcNewScene(impl_->device);

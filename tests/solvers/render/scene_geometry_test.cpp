@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "tests/support/closed_shapes.h"
 
 namespace shellgrid {
 namespace {
@@ -58,6 +60,20 @@ TEST(SceneGeometry, RefusesNothingAndNonsense) {
   TriangleMesh mesh = box(1, Vec3::Zero());
   mesh.vertices(3, 1) = std::numeric_limits<double>::quiet_NaN();
   EXPECT_THROW(SceneGeometry{mesh}, InputError);
+}
+
+// Run alone, for what TBB's workers do is settled by their first task.
+TEST(SceneGeometry, LeavesTheArithmeticOfLaterParallelWorkAsItIs) {
+  const TriangleMesh mesh = shapes::sphere(10, 4);
+  const SceneGeometry geometry(mesh);
+  const int flushed = parallel_sum(
+      1000, 0,
+      [](std::size_t) {
+        volatile float small = 1e-20f;
+        return small * small == 0 ? 1 : 0;
+      },
+      1);
+  EXPECT_EQ(flushed, 0);
 }
 
 }  // namespace
