@@ -7,6 +7,7 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "synthesis/albedo.h"
+#include "synthesis/candidate_search.h"
 #include "synthesis/clustering.h"
 #include "synthesis/principal_components.h"
 
@@ -84,45 +85,6 @@ RowMatrixf windows(const RowMatrixf& maps, int width, int height, int step) {
 }
 
 std::vector<float> flatten(const RowMatrixf& rows) { return {rows.data(), rows.data() + rows.size()}; }
-
-// The k texels nearest in appearance, each at least `separation` texels from the texel itself and from each other.
-std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, int width, int height, int k, int separation) {
-  const int count = width * height;
-  // Component by component, so that the distance loop runs along memory.
-  const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic> columns = appearance;
-  std::vector<std::int32_t> result(static_cast<std::size_t>(count) * k);
-  parallel_chunks(count, 64, [&](std::size_t begin, std::size_t end) {
-    std::vector<float> distance(count);
-    const float* const column[dimension] = {columns.col(0).data(), columns.col(1).data(), columns.col(2).data(),
-                                            columns.col(3).data(), columns.col(4).data(), columns.col(5).data(),
-                                            columns.col(6).data(), columns.col(7).data()};
-    const auto exclude = [&](int texel) {
-      const int x = texel % width, y = texel / width;
-      const int reach = separation - 1;
-      for (int dy = -reach; dy <= reach; ++dy)
-        for (int dx = -reach; dx <= reach; ++dx)
-          if (dx * dx + dy * dy < separation * separation)
-            distance[((y + dy) % height + height) % height * width + ((x + dx) % width + width) % width] = 1e30f;
-    };
-    for (std::size_t texel = begin; texel < end; ++texel) {
-      float own[dimension];
-      for (int d = 0; d < dimension; ++d) own[d] = column[d][texel];
-      for (int i = 0; i < count; ++i) {
-        float sum = 0;
-        for (int d = 0; d < dimension; ++d) sum += (column[d][i] - own[d]) * (column[d][i] - own[d]);
-        distance[i] = sum;
-      }
-      exclude(static_cast<int>(texel));
-      for (int i = 0; i < k; ++i) {
-        const float least = Eigen::Map<const Eigen::ArrayXf>(distance.data(), count).minCoeff();
-        const int best = static_cast<int>(std::find(distance.begin(), distance.end(), least) - distance.begin());
-        result[texel * k + i] = best;
-        exclude(best);
-      }
-    }
-  });
-  return result;
-}
 
 }  // namespace
 

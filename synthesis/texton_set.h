@@ -46,7 +46,7 @@ struct TextonStatistics {
 };
 
 // Features (log σ_t', diffuse reflectance of α', occupancy of each voxel of a stack) → principal components →
-// Gaussian stack → 5×5 windows → principal components; textons by K-means; candidates by exhaustive search.
+// Gaussian stack → 5×5 windows → principal components; textons by K-means; candidates by exact search.
 // Source: [STF §6], [LefebvreHoppe2006 §3], [Tong2002 §4].
 // Deviates: α' enters as the reflectance it causes, since equal steps of α' near one look very unequal.
 TextonSet make_textons(const MaterialSample& sample, const TextonOptions& options,

@@ -1,0 +1,222 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "synthesis/candidate_search.h"
+
+#include <algorithm>
+#include <array>
+#include <limits>
+#include <numeric>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr int dimension = 8, leaf_size = 16, children = 8;
+using Point = Eigen::Array<float, dimension, 1>;
+
+// A k-d tree over points of eight components; eight boxes, or sixteen points, are looked at at once.
+class AppearanceTree {
+ public:
+  explicit AppearanceTree(const RowMatrixf& points) : points_(points), order_(points.rows()) {
+    std::iota(order_.begin(), order_.end(), 0);
+    root_ = build({0, static_cast<int>(order_.size())});
+  }
+
+  // Lowers (distance, index) to that of the nearest point that `allowed` lets pass, lowest index first where equal.
+  template <class Allowed>
+  void nearest(const Point& query, const Allowed& allowed, float& distance, std::int32_t& index) const {
+    struct Pending {
+      float bound;
+      std::int32_t lowest, at;
+    };
+    std::array<Pending, 128> stack;
+    int depth = 0;
+    stack[depth++] = {0, 0, root_};
+    while (depth > 0) {
+      const Pending next = stack[--depth];
+      if (next.bound > distance || (next.bound == distance && next.lowest > index)) continue;
+      if (next.at < 0) {
+        search(leaves_[~next.at], query, allowed, distance, index);
+        continue;
+      }
+      const Node& node = nodes_[next.at];
+      const Boxes bounds = squared_distances(node, query);
+      const int first = depth;
+      for (int c = 0; c < children; ++c) {
+        if (!(bounds[c] <= distance)) continue;
+        int place = depth++;  // the nearest last
+        for (; place > first && stack[place - 1].bound < bounds[c]; --place) stack[place] = stack[place - 1];
+        stack[place] = {bounds[c], node.lowest[c], node.child[c]};
+      }
+    }
+  }
+
+ private:
+  using Boxes = Eigen::Array<float, children, 1>;
+  struct Node {
+    Boxes lower[dimension], upper[dimension];
+    std::int32_t lowest[children];  // of the indices below
+    std::int32_t child[children];   // a node, or ~leaf
+  };
+  struct Leaf {
+    Eigen::Array<float, leaf_size, 1> component[dimension];
+    std::int32_t index[leaf_size];
+  };
+  struct Range {
+    int begin, end;
+    int size() const { return end - begin; }
+  };
+
+  int build(const Range& range) {
+    if (range.size() <= leaf_size) {
+      leaves_.push_back(make_leaf(range));
+      return ~(static_cast<int>(leaves_.size()) - 1);
+    }
+    std::vector<Range> parts{range};
+    while (static_cast<int>(parts.size()) < children) {
+      const auto largest = std::max_element(parts.begin(), parts.end(),
+                                            [](const Range& a, const Range& b) { return a.size() < b.size(); });
+      if (largest->size() <= leaf_size) break;
+      const int middle = split(*largest), end = largest->end;
+      largest->end = middle;
+      parts.push_back({middle, end});
+    }
+    const int at = static_cast<int>(nodes_.size());
+    nodes_.emplace_back();
+    Node node;
+    for (int c = 0; c < children; ++c) {
+      const bool used = c < static_cast<int>(parts.size());
+      Point lower = Point::Constant(std::numeric_limits<float>::infinity()), upper = -lower;
+      if (used) bound(parts[c], lower, upper);
+      for (int d = 0; d < dimension; ++d) node.lower[d][c] = lower[d], node.upper[d][c] = upper[d];
+      node.lowest[c] = used ? *std::min_element(order_.begin() + parts[c].begin, order_.begin() + parts[c].end) : 0;
+      node.child[c] = used ? build(parts[c]) : 0;
+    }
+    nodes_[at] = node;
+    return at;
+  }
+
+  Leaf make_leaf(const Range& range) const {
+    Leaf leaf;
+    for (int slot = 0; slot < leaf_size; ++slot) {
+      const bool used = slot < range.size();
+      leaf.index[slot] = used ? order_[range.begin + slot] : -1;
+      for (int d = 0; d < dimension; ++d)
+        leaf.component[d][slot] = used ? points_(leaf.index[slot], d) : std::numeric_limits<float>::infinity();
+    }
+    return leaf;
+  }
+
+  void bound(const Range& range, Point& lower, Point& upper) const {
+    for (int i = range.begin; i < range.end; ++i) {
+      const Point point = points_.row(order_[i]).transpose().array();
+      lower = lower.min(point);
+      upper = upper.max(point);
+    }
+  }
+
+  // Sorts the range into two halves along its widest component; returns where the second begins.
+  int split(const Range& range) {
+    Point lower = Point::Constant(std::numeric_limits<float>::infinity()), upper = -lower;
+    bound(range, lower, upper);
+    Eigen::Index axis;
+    (upper - lower).maxCoeff(&axis);
+    const int middle = (range.begin + range.end) / 2;
+    std::nth_element(order_.begin() + range.begin, order_.begin() + middle, order_.begin() + range.end,
+                     [&](int a, int b) {
+                       return points_(a, axis) != points_(b, axis) ? points_(a, axis) < points_(b, axis) : a < b;
+                     });
+    return middle;
+  }
+
+  // Never more than the squared distance to a point in the box, whatever the rounding.
+  static Boxes squared_distances(const Node& node, const Point& query) {
+    Boxes sum = Boxes::Zero();
+    for (int d = 0; d < dimension; ++d)
+      sum += (node.lower[d] - query[d]).max(query[d] - node.upper[d]).max(0.0f).square();
+    return sum * (1 - 1e-5f);
+  }
+
+  template <class Allowed>
+  static void search(const Leaf& leaf, const Point& query, const Allowed& allowed, float& distance,
+                     std::int32_t& index) {
+    Eigen::Array<float, leaf_size, 1> squared = (leaf.component[0] - query[0]).square();
+    for (int d = 1; d < dimension; ++d) squared += (leaf.component[d] - query[d]).square();
+    if (!(squared.minCoeff() <= distance)) return;
+    for (int slot = 0; slot < leaf_size; ++slot) {
+      const std::int32_t found = leaf.index[slot];
+      if (squared[slot] > distance || found < 0 || (squared[slot] == distance && found >= index) || !allowed(found))
+        continue;
+      distance = squared[slot];
+      index = found;
+    }
+  }
+
+  const RowMatrixf& points_;
+  std::vector<std::int32_t> order_;
+  std::vector<Node> nodes_;
+  std::vector<Leaf> leaves_;
+  int root_ = 0;
+};
+
+}  // namespace
+
+std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, int width, int height, int k, int separation) {
+  if (appearance.cols() != dimension || appearance.rows() != static_cast<Eigen::Index>(width) * height)
+    throw InternalError("appearance vectors of a wrong shape");
+  const AppearanceTree tree(appearance);
+  // Of the disc of texels less than `separation` away, row by row.
+  const int reach = separation - 1;
+  std::vector<int> half_width(separation);
+  for (int dy = 0; dy <= reach; ++dy)
+    while ((half_width[dy] + 1) * (half_width[dy] + 1) + dy * dy < separation * separation) ++half_width[dy];
+  std::vector<std::int32_t> result(static_cast<std::size_t>(width) * height * k, -1);
+  parallel_chunks(static_cast<std::size_t>(width) * height, 256, [&](std::size_t begin, std::size_t end) {
+    std::vector<std::int32_t> taken_for(static_cast<std::size_t>(width) * height, -1);  // too near a place taken
+    for (std::size_t texel = begin; texel < end; ++texel) {
+      const std::int32_t self = static_cast<std::int32_t>(texel);
+      const auto take = [&](int t) {
+        const int x = t % width, y = t / width;
+        for (int dy = -reach; dy <= reach; ++dy) {
+          const int sy = (y + dy % height + height) % height;
+          std::int32_t* row = &taken_for[static_cast<std::size_t>(sy) * width];
+          const int half = half_width[std::abs(dy)];
+          if (2 * half + 1 >= width) {
+            std::fill(row, row + width, self);
+            continue;
+          }
+          const int first = x - half, last = x + half;
+          std::fill(row + std::max(first, 0), row + std::min(last, width - 1) + 1, self);
+          if (first < 0) std::fill(row + first + width, row + width, self);
+          if (last >= width) std::fill(row, row + last - width + 1, self);
+        }
+      };
+      const auto allowed = [&](std::int32_t t) { return taken_for[t] != self; };
+      const Point own = appearance.row(static_cast<Eigen::Index>(texel)).transpose().array();
+      const std::int32_t* before = texel > begin ? result.data() + (texel - 1) * k : nullptr;
+      take(self);
+      for (int i = 0; i < k; ++i) {
+        // What the texel before found bounds the search and changes nothing else.
+        float distance = std::numeric_limits<float>::max();
+        std::int32_t best = std::numeric_limits<std::int32_t>::max();
+        if (before) {
+          for (int j = 0; j < k; ++j) {
+            if (before[j] < 0) continue;
+            const std::int32_t guess = before[j] / width * width + (before[j] + 1) % width;
+            if (!allowed(guess)) continue;
+            const float bound = (appearance.row(guess).transpose().array() - own).square().sum() * (1 + 1e-5f) + 1e-30f;
+            distance = std::min(distance, bound);
+          }
+        }
+        tree.nearest(own, allowed, distance, best);
+        if (best == std::numeric_limits<std::int32_t>::max()) break;
+        result[texel * k + i] = best;
+        take(best);
+      }
+    }
+  });
+  return result;
+}
+
+}  // namespace shellgrid
