@@ -11,7 +11,7 @@
 namespace shellgrid {
 namespace {
 
-TEST(SceneFile, SurvivesDamage) {
+TEST(DamagedScene, SurvivesDamage) {
   const TemporaryFolder folder;
   write_raw(folder / "m.off", "OFF\n");
   write_raw(folder / "s.json", "{}\n");
@@ -29,7 +29,7 @@ TEST(SceneFile, SurvivesDamage) {
       path, [&] { read_scene(path); }, 150, 3000);
 }
 
-TEST(SampleDescription, SurvivesDamage) {
+TEST(DamagedSampleDescription, SurvivesDamage) {
   const TemporaryFolder folder;
   const std::string body = R"("materials": {"body": {"absorption": [0.01, 0.02, 0.03], "scattering": [2, 2, 3]}, )";
   const std::vector<std::string> descriptions{
