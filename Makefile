@@ -83,9 +83,9 @@ check-format:
 	@git ls-files '*.h' '*.cpp' | xargs clang-format --dry-run -Werror
 
 sanitize: setup
-	@cmake --preset sanitize > /dev/null
+	@cmake --preset sanitize -DCMAKE_MESSAGE_LOG_LEVEL=WARNING > /dev/null
 	@cmake --build --preset sanitize --parallel $(JOBS)
-	@ctest --preset sanitize
+	@ctest --preset sanitize --parallel $(JOBS); code=$$?; cat build-sanitize/findings/summary.txt; exit $$code
 
 accuracy stress: build
 	@SG_LONG=1 ctest --preset release -L $@

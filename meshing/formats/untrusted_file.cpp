@@ -19,6 +19,7 @@
 #include <memory>
 
 #include "meshing/core/error.h"
+#include "meshing/core/guarded_child.h"
 #include "meshing/formats/output_file.h"
 
 namespace shellgrid {
@@ -48,7 +49,11 @@ void limit(int resource, rlim_t amount) {
 
 // The child: never returns. Writes 'k' for a good file or 'e' and a message.
 [[noreturn]] void rehearse(int pipe_end, rlim_t memory, rlim_t seconds, const std::function<void()>& read) {
-  for (int number : {SIGSEGV, SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGINT, SIGTERM}) ::signal(number, SIG_DFL);
+  enter_guarded_child();
+  // A sanitizer reports crashes by its own handlers.
+  if (!sanitized)
+    for (int number : {SIGSEGV, SIGABRT, SIGBUS, SIGFPE, SIGILL}) ::signal(number, SIG_DFL);
+  for (int number : {SIGINT, SIGTERM}) ::signal(number, SIG_DFL);
   const int nowhere = ::open("/dev/null", O_RDWR), warnings = ::memfd_create("warnings", 0);
   if (nowhere >= 0) ::dup2(nowhere, STDOUT_FILENO);
   if (warnings >= 0) ::dup2(warnings, STDERR_FILENO);

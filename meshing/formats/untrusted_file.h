@@ -14,7 +14,8 @@ std::string seal_of(std::string_view bytes, std::string_view more_bytes = {});
 // A library's message on one line.
 std::string one_line(std::string message);
 
-// Calls read() in a child process of limited memory and time. Throws: InputError with the message of what read()
+// Calls read() in a child process of limited memory and time, a guarded child: read() marks the library's part of its
+// work as ForeignCode (meshing/core/guarded_child.h). Throws: InputError with the message of what read()
 // threw or its library printed on stderr, or "PATH: … is corrupt" if the child crashed, ran out of memory or took too
 // long.
 void rehearse_reading(const std::string& path, const std::string& kind, const std::function<void()>& read);

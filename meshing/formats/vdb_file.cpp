@@ -20,6 +20,7 @@
 #include <type_traits>
 
 #include "meshing/core/error.h"
+#include "meshing/core/guarded_child.h"
 #include "meshing/formats/output_file.h"
 #include "meshing/formats/untrusted_file.h"
 
@@ -210,12 +211,17 @@ bool take(const std::string& path, const openvdb::GridBase::Ptr& grid, VdbArchiv
 VdbArchive parse(const std::string& path) {
   VdbArchive archive;
   try {
-    openvdb::io::File file(path);
-    file.open(/*delayLoad=*/false);
-    const openvdb::MetaMap::Ptr metadata = file.getMetadata();
+    openvdb::MetaMap::Ptr metadata;
+    openvdb::GridPtrVecPtr grids;
+    {
+      const ForeignCode foreign;
+      openvdb::io::File file(path);
+      file.open(/*delayLoad=*/false);
+      metadata = file.getMetadata();
+      grids = file.getGrids();
+    }
     for (auto it = metadata->beginMeta(); it != metadata->endMeta(); ++it)
       archive.metadata[it->first] = it->second ? it->second->str() : std::string();
-    const openvdb::GridPtrVecPtr grids = file.getGrids();
     bool has_frame = false;
     for (const openvdb::GridBase::Ptr& grid : *grids) {
       if (!grid) continue;

@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "meshing/core/error.h"
+#include "meshing/core/guarded_child.h"
 
 namespace shellgrid {
 namespace {
@@ -38,6 +39,7 @@ bool write_all(int file, const void* data, std::size_t bytes) {
 
 // In the child: runs TetGen and sends the mesh through the pipe.
 [[noreturn]] void run_child(const TriangleMesh& surface, int pipe, double limit_seconds) {
+  enter_guarded_child();
   const rlimit time{static_cast<rlim_t>(limit_seconds), static_cast<rlim_t>(limit_seconds) + 5};
   setrlimit(RLIMIT_CPU, &time);
   const rlimit no_core{0, 0};
@@ -65,7 +67,10 @@ bool write_all(int file, const void* data, std::size_t bytes) {
       for (int k = 0; k < 3; ++k) polygon.vertexlist[k] = surface.faces(f, k);
     }
     char switches[] = "pYQ";
-    ::tetrahedralize(switches, &in, &out);
+    {
+      const ForeignCode foreign;
+      ::tetrahedralize(switches, &in, &out);
+    }
     const std::int64_t counts[2] = {out.numberofpoints, out.numberoftetrahedra};
     const bool sent = counts[1] > 0 && out.numberofcorners == 4 && write_all(pipe, counts, sizeof counts) &&
                       write_all(pipe, out.pointlist, sizeof(double) * 3 * static_cast<std::size_t>(counts[0])) &&

@@ -21,6 +21,8 @@
 namespace shellgrid {
 namespace {
 
+namespace shapes = voxel_shapes;
+
 struct Case {
   const char* name;
   TriangleMesh (*make)();

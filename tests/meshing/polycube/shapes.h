@@ -10,7 +10,7 @@
 
 #include "meshing/core/triangle_mesh.h"
 
-namespace shellgrid::shapes {
+namespace shellgrid::voxel_shapes {
 
 // The boundary of the unit cells (i, j, k) in [0, size) where inside(i, j, k), as triangles, smoothed by
 // averaging over neighbours.
@@ -115,4 +115,4 @@ inline TriangleMesh branching() {
       4);
 }
 
-}  // namespace shellgrid::shapes
+}  // namespace shellgrid::voxel_shapes

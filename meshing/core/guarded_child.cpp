@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "meshing/core/guarded_child.h"
+
+#ifdef __SANITIZE_ADDRESS__
+#include <sanitizer/common_interface_defs.h>
+
+#include <cstdlib>
+#include <string>
+
+// Of the runtime library of GCC's undefined-behaviour sanitizer, which would otherwise start, and reset the path of
+// reports, at its first report.
+namespace __ubsan {
+void InitAsStandaloneIfNecessary() __attribute__((weak));
+}
+
+namespace shellgrid {
+namespace {
+
+// Empty outside guarded children.
+std::string log_path;
+
+void report_to(const std::string& path) {
+  if (!path.empty()) __sanitizer_set_report_path(path.c_str());
+}
+
+}  // namespace
+
+void enter_guarded_child() {
+  if (__ubsan::InitAsStandaloneIfNecessary != nullptr) __ubsan::InitAsStandaloneIfNecessary();
+  const char* text = std::getenv("ASAN_OPTIONS");
+  const std::string options = text != nullptr ? text : "", key = "log_path=";
+  const std::size_t at = options.find(key);
+  if (at == std::string::npos) return;
+  const std::size_t from = at + key.size();
+  log_path = options.substr(from, options.find(':', from) - from);
+}
+
+ForeignCode::ForeignCode() { report_to(log_path.empty() ? log_path : log_path + "-foreign"); }
+ForeignCode::~ForeignCode() { report_to(log_path); }
+
+}  // namespace shellgrid
+#else
+namespace shellgrid {
+
+void enter_guarded_child() {}
+ForeignCode::ForeignCode() {}
+ForeignCode::~ForeignCode() {}
+
+}  // namespace shellgrid
+#endif
