@@ -59,8 +59,7 @@ void limit(int resource, rlim_t amount) {
   if (warnings >= 0) ::dup2(warnings, STDERR_FILENO);
   limit(RLIMIT_CORE, 0);
   limit(RLIMIT_CPU, seconds);
-  // The sanitizers reserve terabytes of addresses.
-  if (!sanitized) limit(RLIMIT_AS, memory);
+  limit(RLIMIT_AS, memory);
   std::string verdict = "k";
   try {
     read();

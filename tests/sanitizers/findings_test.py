@@ -48,6 +48,8 @@ class Findings(unittest.TestCase):
                 code, printed, summary = self.probe(fault, "library-in-guarded-child")
                 self.assertEqual(code, 0, printed)
                 self.assertIn("0 findings; 1 of", summary)
+                self.assertIn("  1 × ", summary)
+                self.assertNotIn("killed", summary)
 
 
 if __name__ == "__main__":
