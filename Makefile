@@ -2,7 +2,7 @@
 # The front door. `make demo` and `make test` do all the set-up themselves on a bare Debian 12.
 #   make demo        the marble bunny, from nothing to a picture
 #   make test        every test
-#   make bench       run time against error, drawn
+#   make bench       run time against error, drawn (SG_LONG=1: larger problems, more repetitions)
 #   make SCENE=path [OUT=dir] [image.png or any artefact of the scene; views; report]
 #   make docs        the README's tables of options and scene keys, from the programs' own help
 SHELL := /bin/bash
@@ -64,13 +64,13 @@ demo: programs assets/meshes/bunny00.off
 	  printf '%-9s %s\n' records "$$out/*.json" && \
 	  awk -v from=$$started -v to=$$(date +%s.%N) 'BEGIN {printf "%-9s %.1f s\n", "time", to - from}'
 
-bench: build
+bench: build assets/meshes/bunny00.off
 	@mkdir -p out/bench
 	@for program in $(BUILD)/bin/*_benchmark; do \
 	  [ -x "$$program" ] || continue; name=$$(basename "$$program" _benchmark); echo "$$name"; \
-	  "$$program" > "out/bench/$$name.csv" && cat "out/bench/$$name.csv"; \
+	  "$$program" > "out/bench/$$name.csv" && cat "out/bench/$$name.csv" || exit 1; \
 	  plot="tests/benchmarks/$$name.gnuplot"; \
-	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot"; fi; \
+	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot" || exit 1; fi; \
 	done
 
 docs: programs

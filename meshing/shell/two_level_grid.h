@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -93,6 +94,23 @@ class TwoLevelGrid {
     return leaf_index < 0 ? background_ : leaf_values(leaf_index)[offset_of(i, j, k)];
   }
 
+  // The eight samples around a point, given by its continuous index, weighted trilinearly.
+  T interpolate(const Vec3f& index) const {
+    const Vec3f lower = index.array().floor();
+    const Vec3f t = index - lower;
+    const Vec3i at = lower.cast<int>();
+    const Vec3i in_leaf = at.unaryExpr([](int n) { return n & (leaf_edge - 1); });
+    if (std::max({in_leaf.x(), in_leaf.y(), in_leaf.z()}) < leaf_edge - 1) {
+      const int leaf = find_leaf(leaf_of(at.x(), at.y(), at.z()));
+      if (leaf < 0) return background_;
+      const T* const v = leaf_values(leaf) + offset_of(at.x(), at.y(), at.z());
+      return weigh(t, v[0], v[1], v[8], v[9], v[64], v[65], v[72], v[73]);
+    }
+    const int i = at.x(), j = at.y(), k = at.z();
+    return weigh(t, value(i, j, k), value(i, j, k + 1), value(i, j + 1, k), value(i, j + 1, k + 1), value(i + 1, j, k),
+                 value(i + 1, j, k + 1), value(i + 1, j + 1, k), value(i + 1, j + 1, k + 1));
+  }
+
   bool is_active(int i, int j, int k) const {
     const int leaf_index = find_leaf(leaf_of(i, j, k));
     return leaf_index >= 0 && mask_test(masks_[leaf_index], offset_of(i, j, k));
@@ -124,6 +142,14 @@ class TwoLevelGrid {
 
  private:
   static constexpr std::int32_t null_leaf = -1;
+
+  // Samples in the order of offsets: z fastest.
+  static T weigh(const Vec3f& t, const T& v0, const T& v1, const T& v2, const T& v3, const T& v4, const T& v5,
+                 const T& v6, const T& v7) {
+    const auto between = [](float s, const T& a, const T& b) -> T { return a + s * (b - a); };
+    return between(t.x(), between(t.y(), between(t.z(), v0, v1), between(t.z(), v2, v3)),
+                   between(t.y(), between(t.z(), v4, v5), between(t.z(), v6, v7)));
+  }
 
   std::size_t top_index(const Vec3i& local) const {
     return (static_cast<std::size_t>(local.x()) * leaf_counts_.y() + local.y()) * leaf_counts_.z() + local.z();

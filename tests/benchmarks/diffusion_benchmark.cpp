@@ -6,14 +6,13 @@
 #include <Eigen/IterativeLinearSolvers>
 #include <Eigen/SparseCore>
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
-#include <functional>
 #include <string>
 
 #include "solvers/diffusion/paper_operator.h"
 #include "tests/support/diffusion_problem.h"
+#include "tests/support/timing.h"
 
 using namespace shellgrid;
 
@@ -21,17 +20,6 @@ namespace {
 
 constexpr double edge = 40, ior = 1.5;
 constexpr int repetitions = 3;
-
-double median_seconds(const std::function<void()>& work) {
-  std::vector<double> seconds;
-  for (int k = 0; k < repetitions; ++k) {
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
-  }
-  std::sort(seconds.begin(), seconds.end());
-  return seconds[seconds.size() / 2];
-}
 
 struct Row {
   std::string method;
@@ -76,12 +64,12 @@ void run_eigen(const std::string& name, const PolygridSystem& system, double ass
   Eigen::SparseMatrix<double> matrix[3];
   for (int c = 0; c < 3; ++c) matrix[c] = channel_matrix(system.matrix, c);
   Eigen::ConjugateGradient<Eigen::SparseMatrix<double>, Eigen::Lower | Eigen::Upper, Preconditioner> solver[3];
-  const double setup = median_seconds([&] {
+  const double setup = test::median_seconds(repetitions, [&] {
     for (int c = 0; c < 3; ++c) solver[c].compute(matrix[c]);
   });
   for (double tolerance : {1e-2, 1e-3, 1e-4, 1e-6}) {
     std::vector<Double4> fluence(n, Double4{});
-    const double solve = median_seconds([&] {
+    const double solve = test::median_seconds(repetitions, [&] {
       for (int c = 0; c < 3; ++c) {
         Eigen::VectorXd right(n);
         for (Eigen::Index i = 0; i < n; ++i) right[i] = source[i][c];
@@ -113,7 +101,8 @@ void run_relaxation(const Polygrid& grid, const CellCoefficients& coefficients, 
   for (double tolerance : {1e-2, 1e-3, 1e-4}) {
     problem.tolerance = tolerance;
     PaperSolution solution;
-    const double solve = median_seconds([&] { solution = solve_paper_operator(grid.graph, problem); });
+    const double solve =
+        test::median_seconds(repetitions, [&] { solution = solve_paper_operator(grid.graph, problem); });
     double error = 0, size = 0;
     for (std::size_t k = 0; k < exact.boundary.size(); ++k) {
       const Rgb light = problem.boundary_light[k];
@@ -132,7 +121,8 @@ void run_grid(int n) {
   CellCoefficients coefficients = homogeneous_coefficients(grid, marble);
   test::add_contrast(coefficients, 10);
   PolygridSystem system;
-  const double assembly = median_seconds([&] { system = assemble_polygrid_system(grid, coefficients, ior); });
+  const double assembly =
+      test::median_seconds(repetitions, [&] { system = assemble_polygrid_system(grid, coefficients, ior); });
   std::vector<Double4> irradiance(system.key.size(), Double4{});
   for (std::size_t u = 0; u < irradiance.size(); ++u)
     if (system.boundary_area[u] > 0 && grid.points(system.point_of_unknown[u], 2) > 0.5 * edge)
@@ -144,9 +134,9 @@ void run_grid(int n) {
   Multigrid reference(system);
   solve_conjugate_gradients(system, reference, source, irradiance, 1e-11, 200, fluence);
   const std::vector<Double4> exact = boundary_exitance(system, fluence, irradiance);
-  const double setup = median_seconds([&] { Multigrid multigrid(system); });
+  const double setup = test::median_seconds(repetitions, [&] { Multigrid multigrid(system); });
   for (double tolerance : {5e-2, 5e-3, 1e-4, 1e-6}) {
-    const double solve = median_seconds([&] {
+    const double solve = test::median_seconds(repetitions, [&] {
       fluence.clear();
       solve_conjugate_gradients(system, reference, source, irradiance, tolerance, 200, fluence);
     });

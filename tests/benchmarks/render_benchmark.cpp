@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // Rendering: seconds against error, adaptive sampling against the same number of samples everywhere.
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <numbers>
 
 #include "solvers/render/surface_render.h"
+#include "tests/support/timing.h"
 
 using namespace shellgrid;
 
@@ -56,9 +56,8 @@ int main() {
   std::printf("sampling,samples_per_pixel,seconds,camera_rays,rmse\n");
   for (const double contrast : {0.0, 0.03})
     for (const int samples : {4, 8, 16, 32, 64}) {
-      const auto start = std::chrono::steady_clock::now();
-      const RenderedImage picture = render(samples, contrast, 0);
-      const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+      RenderedImage picture;
+      const double seconds = test::seconds_of([&] { picture = render(samples, contrast, 0); });
       double sum = 0;
       const auto &found = picture.image.find("G")->values, &expected = reference.find("G")->values;
       for (std::size_t i = 0; i < found.size(); ++i) sum += std::pow(found[i] - expected[i], 2);

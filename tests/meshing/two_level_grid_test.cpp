@@ -32,5 +32,30 @@ TEST(TwoLevelGrid, VisitsEachActiveSampleOnceAtItsOwnIndex) {
   EXPECT_EQ(visited, expected);
 }
 
+TEST(TwoLevelGrid, InterpolatesTrilinearFunctionsExactlyAcrossLeaves) {
+  const auto function = [](double x, double y, double z) {
+    return 1 + 0.5 * x - 0.25 * y + 2 * z + 0.125 * x * y - 0.0625 * y * z + 0.03125 * x * y * z;
+  };
+  TwoLevelGrid<float> grid(Vec3i(-1, -1, -1), Vec3i(3, 3, 3), -7.0f);
+  for (int i = -8; i < 16; ++i)
+    for (int j = -8; j < 16; ++j)
+      for (int k = -8; k < 16; ++k) grid.set(i, j, k, static_cast<float>(function(i, j, k)));
+  for (float x = -7.75f; x < 15; x += 1.25f)
+    for (float y = -8; y < 15; y += 0.875f)
+      for (float z = -7.5f; z < 15; z += 0.625f)
+        ASSERT_NEAR(grid.interpolate({x, y, z}), function(x, y, z), 1e-4) << x << ' ' << y << ' ' << z;
+}
+
+TEST(TwoLevelGrid, InterpolatesWithTheBackgroundWhereNothingIsAllocated) {
+  TwoLevelGrid<float> grid(Vec3i(-1, -1, -1), Vec3i(3, 3, 3), 4.0f);
+  grid.set(7, 7, 7, 12.0f);
+  EXPECT_EQ(grid.interpolate({7, 7, 7}), 12.0f);
+  EXPECT_EQ(grid.interpolate({7.5f, 7, 7}), 8.0f);
+  EXPECT_EQ(grid.interpolate({7.5f, 7.5f, 7.5f}), 5.0f);
+  EXPECT_EQ(grid.interpolate({6.5f, 7, 6.5f}), 6.0f);
+  EXPECT_EQ(grid.interpolate({-3.5f, -3.5f, 12.25f}), 4.0f);
+  EXPECT_EQ(grid.interpolate({1000, -1000, 0.5f}), 4.0f);
+}
+
 }  // namespace
 }  // namespace shellgrid

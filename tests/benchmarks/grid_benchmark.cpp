@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Look-ups in the two-level grid beside OpenVDB's and NanoVDB's accessors: the same distance field, the same places,
+// one thread, medians in one run, taken in turn.
+//   grid_benchmark [mesh.off]     default assets/meshes/bunny00.off
+// Prints CSV. Places: `random` anywhere in the box; `band` at random in the band; `rays` steps of one interval along
+// rays that cross the box. `bytes_over_leaves` is a grid's memory over that of its samples in leaves; `ratio` is the
+// time over this project's; `differing` counts look-ups whose value is not the same to rounding.
+#include <fmt/format.h>
+#include <nanovdb/util/OpenToNanoVDB.h>
+#include <nanovdb/util/SampleFromVoxels.h>
+#include <openvdb/openvdb.h>
+#include <openvdb/tools/Interpolation.h>
+
+#include <cmath>
+
+#include "meshing/core/error.h"
+#include "meshing/core/random.h"
+#include "meshing/distance/distance_field.h"
+#include "meshing/formats/mesh_file.h"
+#include "tests/support/timing.h"
+
+using namespace shellgrid;
+
+namespace {
+
+struct Places {
+  const char* name;
+  std::vector<Vec3f> points;   // continuous indices
+  std::vector<Vec3i> nearest;  // the grid points nearest to them
+};
+
+Vec3 draw_in(RandomStream& random, const Vec3& lower, const Vec3& upper) {
+  const double x = random.next(), y = random.next(), z = random.next();
+  return lower.array() + Vec3(x, y, z).array() * (upper - lower).array();
+}
+
+std::vector<Places> make_places(const TwoLevelGrid<float>& grid, std::size_t count) {
+  const Vec3 lower = 8.0 * grid.lower_leaf().cast<double>();
+  const Vec3 upper = lower + 8.0 * grid.leaf_counts().cast<double>();
+  std::vector<Vec3i> active;
+  grid.for_each_active([&](int i, int j, int k, float) { active.emplace_back(i, j, k); });
+  std::vector<Places> all{{"random", {}, {}}, {"band", {}, {}}, {"rays", {}, {}}};
+  RandomStream random(72);
+  while (all[0].points.size() < count) all[0].points.push_back(draw_in(random, lower, upper).cast<float>());
+  while (all[1].points.size() < count) {
+    const Vec3i& sample = active[static_cast<std::size_t>(random.next() * static_cast<double>(active.size()))];
+    all[1].points.push_back((sample.cast<double>() + draw_in(random, Vec3::Zero(), Vec3::Ones())).cast<float>());
+  }
+  while (all[2].points.size() < count) {
+    const Vec3 from = draw_in(random, lower, upper);
+    const Vec3 step = (draw_in(random, lower, upper) - from).normalized();
+    for (int n = 0; all[2].points.size() < count; ++n) {
+      const Vec3 p = from + n * step;
+      if ((p.array() < lower.array()).any() || (p.array() > upper.array()).any()) break;
+      all[2].points.push_back(p.cast<float>());
+    }
+  }
+  for (Places& places : all)
+    for (const Vec3f& p : places.points) places.nearest.push_back((p.array() + 0.5f).floor().cast<int>());
+  return all;
+}
+
+constexpr int grids = 3;
+const char* const names[grids] = {"two-level", "OpenVDB", "NanoVDB"};
+
+// What one grid takes for one kind of look-up.
+struct Measurement {
+  std::vector<double> seconds;
+  std::vector<float> values;
+};
+
+template <class Place, class Look>
+void measure(const std::vector<Place>& places, const Look& look, Measurement& result) {
+  result.values.resize(places.size());
+  result.seconds.push_back(test::seconds_of([&] {
+    for (std::size_t n = 0; n < places.size(); ++n) result.values[n] = look(places[n]);
+  }));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    const std::size_t count = test::long_form() ? 8000000 : 2000000;
+    const int runs = test::long_form() ? 9 : 5;
+    openvdb::initialize();
+    const TriangleMesh mesh = read_mesh(argc > 1 ? argv[1] : "assets/meshes/bunny00.off").mesh;
+    const double length = (mesh.vertices.colwise().maxCoeff() - mesh.vertices.colwise().minCoeff()).maxCoeff();
+    const double voxel = length / 256;
+    DistanceStatistics statistics;
+    const DistanceField field = compute_distance_field(mesh, {voxel, 10 * voxel, 3 * voxel}, statistics);
+    const TwoLevelGrid<float>& ours = field.distance;
+    const openvdb::FloatGrid::Ptr open = openvdb::FloatGrid::create(ours.background());
+    {
+      openvdb::FloatGrid::Accessor write = open->getAccessor();
+      for (int leaf = 0; leaf < ours.leaf_count(); ++leaf) {
+        const Vec3i base = ours.leaf_coordinate(leaf) * 8;
+        openvdb::FloatTree::LeafNodeType* node = write.touchLeaf({base.x(), base.y(), base.z()});
+        for (int offset = 0; offset < 512; ++offset) node->setValueOnly(offset, ours.leaf_values(leaf)[offset]);
+      }
+      ours.for_each_active([&](int i, int j, int k, float) { write.setValueOn({i, j, k}); });
+    }
+    const nanovdb::GridHandle<> handle = nanovdb::openToNanoVDB(*open);
+    const nanovdb::FloatGrid& nano = *handle.grid<float>();
+    const std::size_t leaf_bytes = static_cast<std::size_t>(ours.leaf_count()) * 512 * sizeof(float);
+    const std::size_t bytes[grids] = {ours.bytes(), static_cast<std::size_t>(open->memUsage()),
+                                      static_cast<std::size_t>(handle.size())};
+
+    fmt::print("places,look_up,grid,mebibytes,bytes_over_leaves,nanoseconds,ratio,differing\n");
+    for (const Places& places : make_places(ours, count)) {
+      const openvdb::FloatGrid::ConstAccessor open_accessor = open->getConstAccessor();
+      const nanovdb::FloatGrid::AccessorType nano_accessor = nano.getAccessor();
+      using NanoSampler = nanovdb::SampleFromVoxels<nanovdb::FloatGrid::AccessorType, 1, false>;
+      const NanoSampler nano_sampler(nano_accessor);
+      for (const bool nearest : {true, false}) {
+        Measurement measurements[grids];
+        for (int run = 0; run < runs; ++run) {
+          if (nearest) {
+            measure(
+                places.nearest, [&](const Vec3i& s) { return ours.value(s.x(), s.y(), s.z()); }, measurements[0]);
+            measure(
+                places.nearest,
+                [&](const Vec3i& s) {
+                  return open_accessor.getValue({s.x(), s.y(), s.z()});
+                },
+                measurements[1]);
+            measure(
+                places.nearest,
+                [&](const Vec3i& s) {
+                  return nano_accessor.getValue({s.x(), s.y(), s.z()});
+                },
+                measurements[2]);
+          } else {
+            measure(
+                places.points, [&](const Vec3f& p) { return ours.interpolate(p); }, measurements[0]);
+            measure(
+                places.points,
+                [&](const Vec3f& p) {
+                  return openvdb::tools::BoxSampler::sample(open_accessor, openvdb::Vec3R(p.x(), p.y(), p.z()));
+                },
+                measurements[1]);
+            measure(
+                places.points, [&](const Vec3f& p) { return nano_sampler(nanovdb::Vec3f(p.x(), p.y(), p.z())); },
+                measurements[2]);
+          }
+        }
+        for (int grid = 0; grid < grids; ++grid) {
+          std::size_t differing = 0;
+          for (std::size_t n = 0; n < count; ++n)
+            differing += std::abs(measurements[grid].values[n] - measurements[0].values[n]) > 1e-5 * voxel;
+          const double time = test::median(measurements[grid].seconds);
+          fmt::print("{},{},{},{:.1f},{:.3f},{:.2f},{:.2f},{}\n", places.name, nearest ? "nearest" : "trilinear",
+                     names[grid], static_cast<double>(bytes[grid]) / (1 << 20),
+                     static_cast<double>(bytes[grid]) / static_cast<double>(leaf_bytes),
+                     1e9 * time / static_cast<double>(count), time / test::median(measurements[0].seconds), differing);
+        }
+        std::fflush(stdout);
+      }
+    }
+    return 0;
+  } catch (const InputError& error) {
+    fmt::print(stderr, "grid_benchmark: error: {}\n", error.what());
+    return 3;
+  }
+}
