@@ -36,7 +36,9 @@ std::string nearest_name(const std::string& name, const std::vector<std::string>
   std::size_t best_distance = 0;
   if (name.size() > 200) return best;
   for (const std::string& candidate : candidates) {
-    const std::size_t distance = edit_distance(name, candidate);
+    // What is typed may be a name cut short.
+    const bool beginning = name.size() > 2 && candidate.starts_with(name);
+    const std::size_t distance = beginning ? 1 : edit_distance(name, candidate);
     const std::size_t allowed = (2 * std::max(name.size(), candidate.size()) + 4) / 5;
     if (distance <= allowed && (best.empty() || distance < best_distance)) best = candidate, best_distance = distance;
   }

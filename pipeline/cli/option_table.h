@@ -39,12 +39,22 @@ struct OptionSpec {
   void assign(const std::string& text);
 };
 
+// An output that an option names; without it, it stands beside the primary one.
+struct OutputOptionSpec {
+  std::string flag;
+  std::string* path;
+  std::string otherwise;  // "exitance.ply"
+};
+
 struct ProgramTable {
   std::string name, summary;
   std::vector<InputSpec> inputs;
   std::vector<OptionSpec> options;  // in the order of declaration, common ones last
   std::string output_example, output_help;
   bool has_output = false, output_optional = false, output_folder = false;
+  std::vector<std::string> output_extensions;    // with the dot; empty: any
+  std::vector<std::string> beside_output;        // further outputs: these in place of the output's extension
+  std::vector<OutputOptionSpec> output_options;  // further outputs with an option for their name
   std::vector<std::pair<std::string, std::string>> examples;  // command, what it does
 
   std::string usage() const;                      // one line

@@ -79,28 +79,75 @@ void check_input(const InputSpec& input, const std::string& path) {
     throw InputError(path + ": " + std::strerror(errno));
 }
 
-// Before any work: can the output be written at all?
-void check_output(const ProgramTable& table, const std::string& path, const std::vector<std::string>& inputs) {
+// Before any work: can this be written at all? `flag` is the option that names it, or what it stands beside.
+void check_written_file(const std::string& flag, const std::string& path, const std::vector<std::string>& inputs) {
   std::error_code error;
-  if (table.output_folder) {
-    if (fs::exists(path, error) && !fs::is_directory(path, error))
-      throw InputError(path + ": exists and is not a folder");
-    fs::create_directories(path, error);
-    if (error) throw InputError(path + ": cannot be made: " + error.message());
-    if (::access(path.c_str(), W_OK | X_OK) != 0)
-      throw InputError(path + ": cannot be written to: " + std::strerror(errno));
-    return;
-  }
-  if (fs::is_directory(path, error)) throw InputError(path + ": cannot be written: it is a folder");
+  const fs::file_status status = fs::status(path, error);
+  if (fs::is_directory(status)) throw InputError(path + ": cannot be written: it is a folder");
+  if (fs::exists(status) && !fs::is_regular_file(status))
+    throw InputError(path + ": cannot be written: it is not a regular file");
+  if (error && status.type() != fs::file_type::not_found)
+    throw InputError(path + ": cannot be written: " + error.message());
   const fs::path folder = folder_of(path);
   if (!fs::is_directory(folder, error))
     throw InputError(path + ": cannot be written: there is no folder " + folder.string());
   if (::access(folder.c_str(), W_OK | X_OK) != 0)
     throw InputError(path + ": cannot be written: " + folder.string() + ": " + std::strerror(errno));
+  const long longest = ::pathconf(folder.c_str(), _PC_NAME_MAX);
+  if (longest > 0 && fs::path(path).filename().string().size() > static_cast<std::size_t>(longest))
+    throw InputError(path + ": cannot be written: " + std::strerror(ENAMETOOLONG));
   for (const std::string& input : inputs)
-    for (const std::string& written : {path, record_path(path)})
-      if (fs::exists(written, error) && fs::equivalent(written, input, error))
-        throw UsageError(fmt::format("-o {}: would overwrite the input {}", path, input));
+    if (fs::exists(path, error) && fs::equivalent(path, input, error))
+      throw UsageError(fmt::format("{}: would overwrite the input {}", flag, input));
+}
+
+std::string lower_case(std::string text) {
+  for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return text;
+}
+
+void check_extension(const std::string& flag, const std::string& path, const std::vector<std::string>& expected) {
+  if (expected.empty()) return;
+  const std::string extension = lower_case(fs::path(path).extension().string());
+  if (std::find(expected.begin(), expected.end(), extension) == expected.end())
+    throw UsageError(fmt::format("{} {}: expected a name that ends in {}", flag, path, fmt::join(expected, " or ")));
+}
+
+// A folder is made only when there is something to put into it.
+void check_output_folder(const std::string& path) {
+  std::error_code error;
+  if (fs::exists(path, error) && !fs::is_directory(path, error))
+    throw InputError(path + ": exists and is not a folder");
+  fs::path present = fs::absolute(path, error).lexically_normal();
+  while (!fs::exists(present, error) && present.has_relative_path()) present = present.parent_path();
+  if (!fs::is_directory(present, error))
+    throw InputError(path + ": cannot be made: " + present.string() + " is not a folder");
+  if (::access(present.c_str(), W_OK | X_OK) != 0)
+    throw InputError(path + ": cannot be written to: " + std::strerror(errno));
+}
+
+void check_outputs(const ProgramTable& table, const std::string& path, const std::vector<std::string>& inputs) {
+  if (table.output_folder) return check_output_folder(path);
+  check_written_file("-o " + path, path, inputs);
+  check_extension("-o", path, table.output_extensions);
+  std::vector<std::pair<std::string, std::string>> all = {{"-o " + path, path}};  // said of it, path
+  for (const OutputOptionSpec& option : table.output_options) {
+    if (option.path->empty()) *option.path = (fs::path(path).parent_path() / option.otherwise).string();
+    check_extension(option.flag, *option.path, {fs::path(option.otherwise).extension().string()});
+    all.emplace_back(option.flag + " " + *option.path, *option.path);
+  }
+  for (const std::string& ending : table.beside_output) {
+    const std::string beside = fs::path(path).replace_extension(ending).string();
+    all.emplace_back(fmt::format("-o {} with {} beside it", path, beside), beside);
+  }
+  all.emplace_back(fmt::format("-o {} with its record", path), record_path(path));
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    check_written_file(all[i].first, all[i].second, inputs);
+    std::error_code error;
+    for (std::size_t k = 0; k < i; ++k)
+      if (fs::weakly_canonical(all[k].second, error) == fs::weakly_canonical(all[i].second, error))
+        throw UsageError(fmt::format("{}: is the name of another output, too", all[i].first));
+  }
 }
 
 }  // namespace
@@ -137,7 +184,12 @@ void StageProgram::inputs(const std::string& name, std::vector<std::string>& pat
 void StageProgram::input_folder(const std::string& name, std::string& path, const std::string& help, bool optional) {
   impl_->table.inputs.push_back({name, help, &path, nullptr, optional, true});
 }
-void StageProgram::output(const std::string& example, const std::string& help, bool optional) {
+void StageProgram::output(const std::string& example, const std::string& help, bool optional,
+                          const std::vector<std::string>& further_extensions) {
+  if (const std::string extension = fs::path(example).extension().string(); !extension.empty()) {
+    impl_->table.output_extensions = further_extensions;
+    impl_->table.output_extensions.insert(impl_->table.output_extensions.begin(), extension);
+  }
   impl_->table.output_example = example;
   impl_->table.output_help = help;
   impl_->table.has_output = true;
@@ -146,6 +198,14 @@ void StageProgram::output(const std::string& example, const std::string& help, b
 void StageProgram::output_folder(const std::string& example, const std::string& help, bool optional) {
   output(example, help, optional);
   impl_->table.output_folder = true;
+}
+void StageProgram::output_beside(const std::string& ending) { impl_->table.beside_output.push_back(ending); }
+void StageProgram::output_option(const std::string& flag, std::string& path, const std::string& otherwise,
+                                 const std::string& help) {
+  OptionSpec spec{flag, &path, "", help + "; default " + otherwise + " beside the output"};
+  spec.placeholder = "FILE";
+  impl_->table.options.push_back(spec);
+  impl_->table.output_options.push_back({flag, &path, otherwise});
 }
 void StageProgram::option(const std::string& flag, double& value, const std::string& unit, const std::string& help,
                           double least, double most) {
@@ -223,7 +283,10 @@ bool StageProgram::Impl::parse(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    throw UsageError(one_line(error.what()));
+    const std::string reason = one_line(error.what());
+    if (const std::size_t end = reason.find(": 1 required TEXT missing"); end != std::string::npos)
+      throw UsageError(reason.substr(0, end) + ": its value is missing");
+    throw UsageError(reason);
   }
   if (help) return std::fputs(table.help().c_str(), stdout), false;
   if (help_json) return std::fputs((table.help_json().dump(2) + "\n").c_str(), stdout), false;
@@ -305,7 +368,7 @@ int StageProgram::Impl::execute(const std::vector<std::string>& arguments, const
     if (input.path && is_set(*input.path)) check_input(input, *input.path);
   }
   const bool records = is_set(output_path) && !table.output_folder;
-  if (is_set(output_path)) check_output(table, output_path, input_paths());
+  if (is_set(output_path)) check_outputs(table, output_path, input_paths());
   if (is_set(output_path))
     clean_up_on_termination({table.output_folder ? output_path : folder_of(output_path).string()});
 

@@ -44,7 +44,13 @@ class StageProgram {
   // An input that is a folder.
   void input_folder(const std::string& name, std::string& path, const std::string& help, bool optional = false);
   // The primary output; -o is required unless `optional`.
-  void output(const std::string& example, const std::string& help, bool optional = false);
+  // Its extension is the example's, or one of `further_extensions`.
+  void output(const std::string& example, const std::string& help, bool optional = false,
+              const std::vector<std::string>& further_extensions = {});
+  // A further output beside the primary one, whose name ends so in place of its extension: ".view.ply".
+  void output_beside(const std::string& ending);
+  // A further output with an option for its name; `path` becomes `otherwise` beside the primary one without it.
+  void output_option(const std::string& flag, std::string& path, const std::string& otherwise, const std::string& help);
   // The output is a folder, made where it is missing; no record is written beside it.
   void output_folder(const std::string& example, const std::string& help, bool optional = false);
   // An option with its present value as default. Numbers may be written 1e5. Ranges are inclusive.

@@ -15,7 +15,8 @@ int main(int argc, char** argv) {
   StageProgram program("sg-compare", "measures how two images, volumes, grids or meshes differ");
   program.input("A", path, "image (exr png), volume (vdb), grid (hdf) or mesh (ply obj off stl)");
   program.input("REFERENCE", reference_path, "what A is measured against, of the same kind");
-  program.output("difference.png", "the difference: a false-colour PNG of images, else a PLY with quality", true);
+  program.output("difference.png", "the difference: a false-colour PNG of images, else a PLY with quality", true,
+                 {".ply"});
   program.option("--fail-above", fail_above, "", "exit with 4 where a figure's measure is greater; -1: never", -1);
   program.option("--measure", measure, "what --fail-above looks at: rmse, relative L2 or the greatest difference",
                  {"rmse", "relative", "maximum"});

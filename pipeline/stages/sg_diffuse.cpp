@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
@@ -128,7 +127,7 @@ int main(int argc, char** argv) {
   program.input("surface.ply", surface_path, "the object's surface");
   program.input("shell.vdb", shell_path, "its shell of voxels and core; left out for a homogeneous object", true);
   program.output("fluence.hdf", "hexahedra with the fluence at their points");
-  program.option("--exitance", exitance_path, "the surface with its exitance; default exitance.ply beside the output");
+  program.output_option("--exitance", exitance_path, "exitance.ply", "the surface with its exitance");
   program.option("--operator", method, "elements conserves energy and is second order; paper is the 2008 one",
                  {"scene", "elements", "paper"});
   program.option("--source", source,
@@ -160,8 +159,6 @@ int main(int argc, char** argv) {
         solve_polygrid_diffusion(polygrid, surface, material, ior, scene.lights, options, run.progress());
 
     run.start_timer("write");
-    if (exitance_path.empty())
-      exitance_path = (std::filesystem::path(run.output()).parent_path() / "exitance.ply").string();
     write_ply(exitance_path, exitance_mesh(surface, result));
     run.note_output(exitance_path);
     write_vtkhdf(run.output(), fluence_grid(polygrid, result.fluence));

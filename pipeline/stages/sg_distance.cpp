@@ -21,6 +21,7 @@ int main(int argc, char** argv) {
                        "computes the signed distance, nearest point and nearest vertex around a surface");
   program.input("SURFACE", surface_path, "closed mesh, as sg-prepare writes it");
   program.output("distance.vdb", "narrow-band grids distance, nearest_point, nearest_vertex; a view.ply beside it");
+  program.output_beside(".view.ply");
   program.option("--voxel", options.voxel, "mm", "grid interval", 1e-6, 1e6);
   program.option("--inside", options.inside_band, "mm", "width of the band inside the surface", 1e-6, 1e6);
   program.option("--outside", options.outside_band, "mm", "width of the band outside the surface", 1e-6, 1e6);

@@ -20,6 +20,7 @@ int main(int argc, char** argv) {
   PolycubeOptions options;
   program.input("tets.hdf", input, "tetrahedral mesh of the object");
   program.output("polycube.hdf", "blocks with their lattice coordinates (VTKHDF); a view.ply beside it");
+  program.output_beside(".view.ply");
   program.option("--nodes", options.nodes, "", "nodes wanted in the polygrid", 200, 2e7);
   program.option("--cubes", options.blocks, "", "blocks wanted, where --grid is 0", 8, 1e6);
   program.option("--grid", options.grid, "", "cells along a block's edge; 0 chooses by --cubes", 0, 256);

@@ -19,6 +19,7 @@ int main(int argc, char** argv) {
   program.input("polycube.hdf", polycube_path, "polycube of the object");
   program.input("surface.ply", surface_path, "the object's closed surface");
   program.output("polygrid.hdf", "hexahedra, links and weights (VTKHDF)");
+  program.output_beside(".view.ply");
   program.option("--layer", options.layer_thickness, "cells", "thickness of the boundary layer", 0.01, 0.5);
   program.example("sg-polygrid polycube.hdf surface.ply -o polygrid.hdf", "the polygrid of a prepared surface");
   return program.run(argc, argv, [&](StageRun& run) {

@@ -57,6 +57,7 @@ int main(int argc, char** argv) {
   program.input("scene.json", scene_path, "camera, lights, object.ior, and material.opaque if the object is opaque");
   program.input("exitance.ply", surface_path, "surface with exitance_r/g/b; for an opaque object any closed surface");
   program.output("image.exr", "layers R G B A, exitance, specular, depth.Z, normal; image.png is written beside it");
+  program.output_beside(".png");
   program.option("--samples", samples, "per pixel", "most camera rays a pixel; 0: the scene's method.samples_per_pixel",
                  0, 65536);
   program.option("--contrast", settings.film.contrast, "",

@@ -20,6 +20,7 @@ int main(int argc, char** argv) {
   StageProgram program("sg-sample", "Makes the base volume: a small tilable block of material.");
   program.input("sample.json", description, "description of the sample, or a volume (.vdb)");
   program.output("sample.vdb", "the base volume");
+  program.output_beside(".view.ply");
   program.option("--voxel", voxel, "mm", "edge of a voxel, instead of the description's", 1e-6, 1e4);
   program.option("--thickness", thickness, "mm", "thickness, instead of the description's", 1e-6, 1e4);
   program.option("--ior", ior, "", "refractive index inside over outside, instead of the description's", 1, 4);

@@ -6,6 +6,7 @@
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/cli/view_path.h"
 #include "synthesis/sample_archive.h"
@@ -24,6 +25,7 @@ int main(int argc, char** argv) {
   program.input("distance.vdb", distance_path, "distance field of the same surface, from sg-distance");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
   program.output("shell.vdb", "the shell's voxels");
+  program.output_beside(".view.ply");
   program.option("--thickness", thickness, "mm", "thickness of the shell", 1e-6, 1e4);
   program.option("--core", core_kind,
                  "below the shell without coefficients: the mean of the sample's bottom layer everywhere, or the "
@@ -35,9 +37,11 @@ int main(int argc, char** argv) {
   program.example("sg-shell synthesized.ply distance.vdb sample.vdb -o shell.vdb", "a shell 4 mm thick");
   return program.run(argc, argv, [&](StageRun& run) {
     if (absorption.empty() != scattering.empty())
-      throw InputError("--core-absorption and --core-scattering must be given together");
+      throw UsageError("--core-absorption and --core-scattering must be given together");
+    if (absorption.empty() && !anisotropy.empty())
+      throw UsageError("--core-anisotropy needs --core-absorption and --core-scattering");
     if (!absorption.empty() && core_kind == "interpolated")
-      throw InputError("--core interpolated takes its coefficients from the shell; leave out --core-absorption");
+      throw UsageError("--core interpolated takes its coefficients from the shell; leave out --core-absorption");
     run.start_timer("read");
     const TexturedMesh mesh = detach_texture(read_mesh(mesh_path), mesh_path);
     const DistanceField distance = read_distance_field(distance_path);

@@ -5,6 +5,7 @@
 
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "synthesis/sample_archive.h"
 #include "synthesis/synthesis_quality.h"
@@ -30,11 +31,12 @@ int main(int argc, char** argv) {
   program.option("--jitter", options.jitter, "texels", "random shift of coordinates at coarse levels", 0, 10);
   program.example("sg-synthesize surface.ply textons.vdb -o synthesized.ply", "then look at it with MeshLab");
   return program.run(argc, argv, [&](StageRun& run) {
+    options.direction = Vec3(direction[0], direction[1], direction[2]);
+    if (!(options.direction.norm() > 0)) throw UsageError("--direction: must not be the zero vector");
     run.start_timer("read");
     const AttributedMesh surface = read_mesh(surface_path);
     TextonSet textons = restore_textons(read_vdb(textons_path));
     if (voxel > 0) textons.voxel = voxel;
-    options.direction = Vec3(direction[0], direction[1], direction[2]);
     options.seed = run.seed();
     run.start_timer("synthesize");
     const SurfaceTexture texture = synthesize_surface(surface.mesh, textons, options, run.progress());

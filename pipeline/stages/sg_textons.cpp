@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
   StageProgram program("sg-textons", "Describes how each texel of a sample and its surroundings look.");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
   program.output("textons.vdb", "appearance vectors, textons and candidate sets");
+  program.output_beside(".view.ply");
   program.option("--method", method, "what synthesis compares: appearance vectors, or textons as the paper does",
                  {"appearance", "textons"});
   program.option("--candidates", options.candidate_count, "", "most alike texels kept for each texel and level", 1, 8);

@@ -178,7 +178,6 @@ class BadInput(unittest.TestCase):
             put("scene.json", content)
         else:
             programs.write_json("scene.json", content)
-        os.makedirs("out", exist_ok=True)
         return self.refused(3, "plan", "scene.json", "-o", "out", words=("scene.json",) + words)
 
     def test_scene_that_is_no_json(self):

@@ -60,6 +60,56 @@ class CommandLineTest(unittest.TestCase):
         self.assert_refused(self.prepare("bad\n\x1b[1m.off", "-o", "s.ply"), 3, "bad \\x1b[1m.off")
         self.assertEqual(sorted(os.listdir(self.root)), ["ball.off"])
 
+    def test_outputs_have_the_right_extension_and_take_no_other_files_place(self):
+        """Nothing is written over an input or another output, not even by a view, a record or a picture beside it."""
+        small = ("--size", "80", "--spacing", "15")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.obj", *small), 2, "-o s.obj", ".ply")
+        self.assert_refused(self.prepare("ball.off", "-o", "s", *small), 2, "-o s:", ".ply")
+        self.assert_refused(self.prepare("ball.off", "-o", "s" * 250 + ".ply", *small), 3, "File name too long")
+        os.symlink("loop.ply", self.path("loop.ply"))
+        self.assert_refused(self.prepare("ball.off", "-o", "loop.ply", *small), 3, "loop.ply", "symbolic links")
+        for device in ("/dev/full", "/dev/null"):
+            self.assert_refused(self.prepare("ball.off", "-o", device, *small), 3, device, "regular file")
+        os.mkfifo(self.path("pipe.ply"))
+        self.assert_refused(self.prepare("ball.off", "-o", "pipe.ply", *small), 3, "pipe.ply", "regular file")
+        os.mkdir(self.path("r.ply.json"))
+        self.assert_refused(self.prepare("ball.off", "-o", "r.ply", *small), 3, "r.ply.json", "folder")
+        for name in ("loop.ply", "pipe.ply"):
+            os.remove(self.path(name))
+        os.rmdir(self.path("r.ply.json"))
+        self.assertEqual(os.listdir(self.root), ["ball.off"])
+        self.assertEqual(self.prepare("ball.off", "-o", "S.PLY", *small).returncode, 0)
+
+        def refused(part, program, *arguments):
+            for name in arguments:
+                if not name.startswith("-") and name != "new.hdf":
+                    shutil.copy(self.path("S.PLY"), self.path(name))
+            before = {name: os.stat(self.path(name)).st_mtime_ns for name in os.listdir(self.root)}
+            done = run(program, *arguments, cwd=self.root)
+            self.assertEqual(done.returncode, 2, done.stderr)
+            self.assertEqual(done.stderr.count("\n"), 1, done.stderr)
+            self.assertIn(part, done.stderr)
+            self.assertEqual({name: os.stat(self.path(name)).st_mtime_ns for name in os.listdir(self.root)}, before)
+
+        refused("overwrite the input d.view.ply", "distance", "d.view.ply", "-o", "d.vdb")
+        refused("overwrite the input a.ply", "diffuse", "s.json", "p.hdf", "a.ply", "-o", "new.hdf", "--exitance", "a.ply")
+        refused("overwrite the input exitance.ply", "diffuse", "s.json", "p.hdf", "exitance.ply", "-o", "new.hdf")
+        refused("ends in .ply", "diffuse", "s.json", "p.hdf", "a.ply", "-o", "new.hdf", "--exitance", "e.hdf")
+        refused("ends in .exr", "render", "s.json", "e.ply", "-o", "image.png")
+        refused("overwrite the input s.png", "render", "s.png", "e.ply", "-o", "s.exr")
+
+    def test_options_without_their_companions_or_values(self):
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--spa", "3"), 2, "did you mean --spacing?")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--size"), 2, "--size: its value is missing")
+        write_off(self.path("ball.vdb"), icosphere(1))
+        for program, words, part in [("shell", ["--core-anisotropy", "0.2"], "--core-absorption"),
+                                     ("shell", ["--core-scattering", "1"], "--core-absorption"),
+                                     ("synthesize", ["--direction", "0,0,0"], "--direction")]:
+            files = ["ball.off", "ball.vdb", "ball.vdb"] if program == "shell" else ["ball.off", "ball.vdb"]
+            done = run(program, *files, "-o", "o.vdb" if program == "shell" else "o.ply", *words, cwd=self.root)
+            self.assertEqual((done.returncode, done.stderr.count("\n")), (2, 1), done.stderr)
+            self.assertIn(part, done.stderr)
+
     @unittest.skipIf(os.geteuid() == 0, "root may write everywhere")
     def test_an_unwritable_folder_is_3(self):
         os.mkdir(self.path("locked"), 0o555)
