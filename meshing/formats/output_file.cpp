@@ -14,6 +14,7 @@
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 #include <memory>
 #include <vector>
 
@@ -97,6 +98,17 @@ void sync(const std::string& path, const std::string& shown) {
   if (::fsync(file.descriptor()) != 0 && errno != EINVAL && errno != ENOTSUP) fail(shown, "cannot be written", errno);
 }
 
+// A killed process that nobody has waited for yet, as in a container without an init, still has a number.
+bool is_running(int process) {
+  if (::kill(process, 0) != 0) return errno != ESRCH;
+  std::ifstream status(fmt::format("/proc/{}/stat", process));
+  std::string line;
+  if (!std::getline(status, line)) return true;
+  // The state follows the program's name, which stands in parentheses and may hold any character.
+  const std::size_t end = line.rfind(") ");
+  return end == std::string::npos || end + 2 >= line.size() || (line[end + 2] != 'Z' && line[end + 2] != 'X');
+}
+
 // Temporaries of killed runs are named after a process that no longer runs.
 void remove_orphans(const fs::path& folder, const std::string& prefix) {
   std::error_code ignored;
@@ -108,7 +120,7 @@ void remove_orphans(const fs::path& folder, const std::string& prefix) {
     const auto parsed = std::from_chars(begin, name.data() + name.size(), process);
     if (parsed.ec != std::errc() || process <= 0 || parsed.ptr == name.data() + name.size() || *parsed.ptr != '-')
       continue;
-    if (::kill(process, 0) != 0 && errno == ESRCH) fs::remove(entry.path(), ignored);
+    if (!is_running(process)) fs::remove(entry.path(), ignored);
   }
 }
 

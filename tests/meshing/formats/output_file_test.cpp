@@ -74,9 +74,18 @@ TEST(OutputFile, RemovesTheTemporariesOfDeadProcessesOnly) {
   // Process numbers end below 2^22.
   write_raw(folder / ".a.partial-99999999-0.ply", "dead");
   write_raw(folder / (".a.partial-" + std::to_string(::getpid()) + "-77.ply"), "alive");
+  // Killed, but not waited for: it still has a number.
+  const pid_t zombie = ::fork();
+  if (zombie == 0) ::_exit(0);
+  siginfo_t ended{};
+  ASSERT_EQ(::waitid(P_PID, static_cast<id_t>(zombie), &ended, WEXITED | WNOWAIT), 0);
+  const std::string left = ".a.partial-" + std::to_string(zombie) + "-0.ply";
+  write_raw(folder / left, "dead, too");
   write_raw(folder / ".b.partial-99999999-0.ply", "another file's");
   write_text_atomically(folder / "a.ply", "x");
   EXPECT_FALSE(fs::exists(folder / ".a.partial-99999999-0.ply"));
+  EXPECT_FALSE(fs::exists(folder / left));
+  ::waitpid(zombie, nullptr, 0);
   EXPECT_EQ(folder.file_count(), 3u);
 }
 
