@@ -11,6 +11,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/formats/image_file.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/scene/named_materials.h"
 #include "pipeline/scene/scene_document.h"
 #include "pipeline/scene/scene_schema.h"
@@ -126,19 +127,47 @@ SceneMaterial parse_material(const Section& section) {
   return material;
 }
 
+// R, G and B of an equirectangular picture; a grey one's Y stands for all three.
+Image environment_picture(const std::string& path, const Rgb& scale) {
+  Image file = read_exr(path);
+  if (!file.find("R") && !file.find("G") && !file.find("B") && file.find("Y"))
+    for (const char* name : {"R", "G", "B"}) file.channels.push_back({name, file.find("Y")->values});
+  Image picture;
+  picture.width = file.width;
+  picture.height = file.height;
+  for (int k = 0; k < 3; ++k) {
+    const std::string name(1, "RGB"[k]);
+    const Image::Channel* channel = file.find(name);
+    if (!channel) throw InputError(fmt::format("{}: has no channel {}; expected R, G and B, or Y", path, name));
+    std::size_t bad = 0, first = 0;
+    for (std::size_t i = channel->values.size(); i-- > 0;) {
+      const double radiance = channel->values[i];
+      if (radiance >= 0 && radiance * scale[k] <= most_light) continue;
+      ++bad;
+      first = i;
+    }
+    if (bad > 0)
+      throw InputError(
+          fmt::format("{}: {} in channel {} {} not between 0 and {}, the first, {:g}, at ({}, {}) from the "
+                      "upper left corner",
+                      path, bad == 1 ? "1 pixel" : fmt::format("{} pixels", bad), name, bad == 1 ? "is" : "are",
+                      number_text(most_light), channel->values[first], first % file.width, first / file.width));
+    picture.channels.push_back(*channel);
+  }
+  return picture;
+}
+
 EnvironmentLight parse_environment(const Section& section) {
   EnvironmentLight light;
   light.up = section.direction("up");
   light.scale = section.colour("scale");
   if (section.has("image")) {
     section.allow({"type", "image", "scale", "up"}, "an environment with an image");
-    light.image = std::make_shared<const Image>(read_exr(section.text("image")));
-    for (const char* channel : {"R", "G", "B"})
-      if (!light.image->find(channel)) section.fail("image", section.text("image") + ": has no channel " + channel);
-    for (const Image::Channel& channel : light.image->channels)
-      for (const float radiance : channel.values)
-        if (channel.name.size() == 1 && channel.name != "A" && !(radiance >= 0 && std::isfinite(radiance)))
-          section.fail("image", section.text("image") + ": a radiance is negative or not finite");
+    try {
+      light.image = std::make_shared<const Image>(environment_picture(section.text("image"), light.scale));
+    } catch (const InputError& error) {
+      section.fail("image", error.what());
+    }
     return light;
   }
   section.allow({"type", "scale", "up", "zenith", "horizon", "ground", "lamps"}, "an environment without an image");

@@ -23,6 +23,10 @@ enum class KeyType {
   core,        // material.core: "bottom-layer", "interpolated" or a section
 };
 
+// Greatest radiance, irradiance or intensity of a light: sums over many of them stay far from the end of single
+// precision. (The sun: about 20 W mm⁻² sr⁻¹.)
+constexpr double most_light = 1e12;
+
 struct SceneKey {
   std::string place;  // "object.size"; elements of lists as "lights[].type"
   KeyType type;

@@ -49,6 +49,17 @@ struct Channels {
     const std::size_t i = static_cast<std::size_t>(y) * width + x;
     return {r->values[i], g->values[i], b->values[i]};
   }
+  // Between the centres of pixels; pixel (0, 0) is centred on (0, 0), and x wraps around.
+  Rgb interpolated(double x, double y) const {
+    y = std::clamp(y, 0.0, height - 1.0);
+    const double x_floor = std::floor(x);
+    const float fx = static_cast<float>(x - x_floor), fy = static_cast<float>(y - std::floor(y));
+    const int x0 = ((static_cast<int>(x_floor) % width) + width) % width, x1 = (x0 + 1) % width;
+    const int y0 = static_cast<int>(y), y1 = std::min(y0 + 1, height - 1);
+    const Rgb top = pixel(x0, y0) * (1 - fx) + pixel(x1, y0) * fx;
+    const Rgb bottom = pixel(x0, y1) * (1 - fx) + pixel(x1, y1) * fx;
+    return top * (1 - fy) + bottom * fy;
+  }
 };
 
 Rgb picture_radiance(const EnvironmentLight& environment, const Vec3& direction) {
@@ -57,15 +68,7 @@ Rgb picture_radiance(const EnvironmentLight& environment, const Vec3& direction)
   const double longitude = std::atan2(direction.dot(frame.right), direction.dot(frame.forward));
   const double polar = std::acos(std::clamp(direction.dot(frame.up), -1.0, 1.0));
   const double x = (longitude / (2 * pi) + 0.5) * picture.width - 0.5;
-  const double y = std::clamp(polar / pi * picture.height - 0.5, 0.0, picture.height - 1.0);
-  const double x_floor = std::floor(x);
-  const float fx = static_cast<float>(x - x_floor), fy = static_cast<float>(y - std::floor(y));
-  const int w = picture.width;
-  const int x0 = ((static_cast<int>(x_floor) % w) + w) % w, x1 = (x0 + 1) % w;
-  const int y0 = static_cast<int>(y), y1 = std::min(y0 + 1, picture.height - 1);
-  const Rgb top = picture.pixel(x0, y0) * (1 - fx) + picture.pixel(x1, y0) * fx;
-  const Rgb bottom = picture.pixel(x0, y1) * (1 - fx) + picture.pixel(x1, y1) * fx;
-  return top * (1 - fy) + bottom * fy;
+  return picture.interpolated(x, polar / pi * picture.height - 0.5);
 }
 
 Rgb sky_radiance(const EnvironmentLight& environment, const Vec3& direction) {
@@ -107,9 +110,30 @@ void add_sky(const EnvironmentLight& environment, int count, std::vector<Directi
   }
 }
 
+// A small picture with more pixels, as it is seen: lights cannot be finer than the pixels they stand for.
+Image refined(const Image& image, int least_width, int least_height) {
+  const Channels picture(image);
+  const int along = (least_width + image.width - 1) / image.width,
+            down = (least_height + image.height - 1) / image.height;
+  Image fine;
+  fine.width = along * image.width;
+  fine.height = down * image.height;
+  fine.channels.reserve(3);
+  for (const char* name : {"R", "G", "B"}) fine.add(name);
+  for (int y = 0; y < fine.height; ++y)
+    for (int x = 0; x < fine.width; ++x) {
+      const Rgb value = picture.interpolated((x + 0.5) / along - 0.5, (y + 0.5) / down - 0.5);
+      for (int k = 0; k < 3; ++k) fine.channels[k].values[static_cast<std::size_t>(y) * fine.width + x] = value[k];
+    }
+  return fine;
+}
+
 // Cuts the picture's regions in two halves of equal energy until `count` remain, the one of most energy first.
 void add_picture(const EnvironmentLight& environment, int count, std::vector<DirectionalLight>& lights) {
-  const Channels picture(*environment.image);
+  constexpr int least_width = 64, least_height = 32;
+  const bool small = environment.image->width < least_width || environment.image->height < least_height;
+  const Image fine = small ? refined(*environment.image, least_width, least_height) : Image();
+  const Channels picture(small ? fine : *environment.image);
   const Frame frame(environment.up);
   const int w = picture.width, h = picture.height;
   // Summed-area table of luminance times solid angle.

@@ -9,6 +9,7 @@
 #include <fstream>
 
 #include "meshing/core/error.h"
+#include "meshing/formats/image_file.h"
 #include "pipeline/cli/nearest_name.h"
 #include "pipeline/cli/option_table.h"
 #include "pipeline/scene/named_materials.h"
@@ -136,7 +137,7 @@ TEST_F(SceneFile, RefusesWrongTypesAndRanges) {
   EXPECT_SAYS(complaint(R"({"material": {"core": {"named": "marbel"}}})"), "did you mean marble?");
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {"reflectance": 1.5}}})"), "0 … 1");
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {}, "core": {"named": "marble"}}})"), "material.core: has no place");
-  EXPECT_SAYS(complaint(R"({"material": {"shell": {"thickness": 0}}})"), "> 0");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"thickness": 0}}})"), "1e-6 … 10000");
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "spot"}]})"), "'spot' is none of directional, point, environment");
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "point", "position": [0,0,0]}]})"), "lights[0].intensity: is missing");
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "directional", "direction": [0,0,0], "irradiance": 1}]})"),
@@ -165,6 +166,36 @@ TEST_F(SceneFile, NamesMissingFiles) {
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "environment", "image": "gone.exr"}]})"), "lights[0].image");
   EXPECT_SAYS(complaint(R"({"object": {"mesh": "."}})"), "is not a file");
   EXPECT_THROW(read_scene((folder_ / "none.json").string()), InputError);
+}
+
+TEST_F(SceneFile, ChecksThePixelsOfAnEnvironment) {
+  const std::string path = (folder_ / "sky.exr").string();
+  const std::string scene = R"({"lights": [{"type": "environment", "image": "sky.exr", "scale": 100}]})";
+  const auto save = [&](const std::vector<std::string>& names, float odd) {
+    Image image;
+    image.width = 3;
+    image.height = 2;
+    for (const std::string& name : names) {
+      image.add(name).values.assign(6, 0.5f);
+      image.channels.back().values[5] = name == "A" ? std::nanf("") : odd;
+    }
+    write_exr(path, image);
+  };
+  save({"R", "G", "B", "A"}, 2);
+  EXPECT_EQ(complaint(scene), "");
+  save({"Y"}, 2);
+  EXPECT_EQ(complaint(scene), "");
+  for (const char* name : {"R", "G", "B"})
+    EXPECT_EQ(std::get<EnvironmentLight>(read(scene).lights[0]).image->find(name)->values[5], 2.0f);
+  for (const float odd : {std::nanf(""), -0.1f, HUGE_VALF, 3e38f, 1.1e10f}) {
+    save({"R", "G", "B"}, odd);
+    EXPECT_SAYS(complaint(scene), "lights[0].image: " + path + ": 1 pixel in channel R");
+    EXPECT_SAYS(complaint(scene), "at (2, 1)");
+  }
+  save({"R"}, 1);
+  EXPECT_SAYS(complaint(scene), "has no channel G");
+  EXPECT_SAYS(complaint(R"({"lights": [{"type": "directional", "direction": [0, 1, 0], "irradiance": 1e13}]})"),
+              "0 … 1e12");
 }
 
 // Total diffuse reflectance of the dipole. Source: [Jensen2001] eq. after (15), with their polynomial F_dr.

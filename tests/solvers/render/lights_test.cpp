@@ -92,6 +92,27 @@ TEST(Lights, PictureKeepsItsEnergyAndItsDirections) {
   EXPECT_THROW(directional_lights(sky, 16), InputError);
 }
 
+TEST(Lights, PicturesOfFewPixelsStandForAllDirections) {
+  for (const Vec3i size : {Vec3i(1, 1, 0), Vec3i(2, 1, 0), Vec3i(1, 3, 0), Vec3i(5, 3, 0)}) {
+    auto picture = std::make_shared<Image>();
+    picture->width = size.x();
+    picture->height = size.y();
+    for (const char* name : {"R", "G", "B"}) {
+      Image::Channel& channel = picture->add(name);
+      for (std::size_t i = 0; i < channel.values.size(); ++i) channel.values[i] = 1 + static_cast<float>(i % 4);
+    }
+    EnvironmentLight environment;
+    environment.image = picture;
+    const std::vector<DirectionalLight> lights = directional_lights(environment, 256);
+    EXPECT_GT(lights.size(), 100u);
+    for (const Vec3 normal : {Vec3(0, 1, 0), Vec3(0, -1, 0), Vec3(1, 0, 0), Vec3(0, 0, 1), Vec3(0, 0, -1)}) {
+      const float wanted = brute_force_irradiance(environment, normal)[1];
+      EXPECT_NEAR(irradiance(lights, normal)[1], wanted, 0.03 * wanted)
+          << size.transpose() << ", " << normal.transpose();
+    }
+  }
+}
+
 TEST(Lights, BeamsFollowTheirLaws) {
   const IncidentBeam sun = incident_beam(DirectionalLight{Vec3(0, -2, 0), Rgb(1, 2, 3)}, Vec3(7, 7, 7));
   EXPECT_EQ(sun.direction, Vec3(0, 1, 0));
