@@ -116,7 +116,7 @@ std::string size_text(double bytes) {
 
 class Page {
  public:
-  Page(const std::string& folder, const std::string& shown) : root_(folder), shown_(shown) {
+  explicit Page(const std::string& folder) : root_(folder) {
     const fs::path plan = root_ / "plan" / "plan.json";
     std::error_code error;
     if (!fs::is_regular_file(plan, error))
@@ -127,7 +127,7 @@ class Page {
   RunReport make() {
     std::string summary, sections, pictures;
     for (const json& stage : plan_.at("stages")) append_stage(stage, summary, sections);
-    const std::string scene = plan_.value("scene_shown", "");
+    const std::string scene = fs::path(plan_.value("scene_shown", "")).filename().string();
     std::string& html = report_.html;
     html = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>" + escaped(scene) +
            "</title><style>" + style + "</style></head><body>\n<h1>" + escaped(scene) +
@@ -180,6 +180,19 @@ class Page {
     return "";
   }
 
+  // A page is for passing on: files from outside go by their names, not by where they lie on this machine.
+  std::string portable(std::string command) const {
+    for (const json& stage : plan_.at("stages"))
+      for (const json& file : stage.at("files")) {
+        std::string path;
+        for (const json& byte : file.at("path")) path += static_cast<char>(byte.get<int>());
+        const std::string whole = shell_command({path}), name = shell_command({fs::path(path).filename().string()});
+        for (std::size_t at = command.find(whole); at != std::string::npos; at = command.find(whole, at + name.size()))
+          command.replace(at, whole.size(), name);
+      }
+    return command;
+  }
+
   void append_stage(const json& stage, std::string& summary, std::string& sections) {
     const std::string name = stage.at("name"), reason = stage.at("reason");
     if (!stage.at("needed").get<bool>()) {
@@ -220,19 +233,19 @@ class Page {
                             memory, record.value("threads", 1));
     sections += "</table>\n";
     for (const json& warning : record.value("warnings", json::array()))
-      sections += "<p class=\"warning\">Warning: " + escaped(value_text(warning)) + "</p>\n";
-    sections += "<p>Remake it in " + escaped(shown_) + ":</p><pre>rm " + escaped(shell_command({output})) + "; make " +
-                escaped(shell_command({output})) + "\n" + escaped(record.value("command", "")) + "</pre></section>\n";
+      sections += "<p class=\"warning\">Warning: " + escaped(portable(value_text(warning))) + "</p>\n";
+    sections += "<p>Remake it in this run's folder:</p><pre>rm " + escaped(shell_command({output})) + "; make " +
+                escaped(shell_command({output})) + "\n" + escaped(portable(record.value("command", ""))) +
+                "</pre></section>\n";
   }
 
   fs::path root_;
-  std::string shown_;
   json plan_;
   RunReport report_;
 };
 
 }  // namespace
 
-RunReport report_run(const std::string& folder, const std::string& shown) { return Page(folder, shown).make(); }
+RunReport report_run(const std::string& folder) { return Page(folder).make(); }
 
 }  // namespace shellgrid

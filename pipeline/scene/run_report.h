@@ -13,8 +13,8 @@ struct RunReport {
 };
 
 // The run of a scene on one page: each stage's picture, figures, time, memory and the command that remakes it, and why
-// the others were left out. `shown` is how the reader may call the folder.
+// the others were left out. It holds no path of this machine.
 // Throws: InputError where the folder holds no plan or a record or mesh in it is damaged.
-RunReport report_run(const std::string& folder, const std::string& shown);
+RunReport report_run(const std::string& folder);
 
 }  // namespace shellgrid

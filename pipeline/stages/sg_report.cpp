@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "meshing/formats/output_file.h"
@@ -16,8 +15,7 @@ int main(int argc, char** argv) {
                  "the page: each stage's picture, figures, time, memory, and the command that remakes it");
   program.example("sg-report out/marble-bunny -o out/marble-bunny/report.html", "makes the page");
   return program.run(argc, argv, [&](StageRun& run) {
-    const std::string shown = std::filesystem::absolute(folder).lexically_normal().string();
-    const RunReport report = report_run(folder, shown);
+    const RunReport report = report_run(folder);
     write_text_atomically(run.output(), report.html);
     run.results()["stages"] = report.stages;
     run.results()["stages_made"] = report.stages_made;

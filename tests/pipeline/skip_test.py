@@ -129,6 +129,8 @@ class SkipTest(unittest.TestCase):
         for stage in STAGES:
             self.assertIn('id="%s"' % stage, html)
         self.assertNotIn("<script", html)
+        self.assertNotIn(self.root, html)
+        self.assertNotIn("http", html.replace("http://www.w3.org", ""))
         self.assertEqual(re.findall(r'(?:src|href)="(?!data:|#)', html), [])
         self.assertGreaterEqual(html.count("data:image/png;base64,"), 8)
 
