@@ -36,14 +36,15 @@ void store(MaterialSample& sample, std::size_t index, const Material& material) 
   sample.anisotropy[index] = material.anisotropy.matrix();
 }
 
+// Voxels below the top.
+double bump_center_depth(const BumpsPattern& pattern, double voxel) { return pattern.radius / voxel + 0.25; }
+double bump_ground(const BumpsPattern& pattern, double voxel) {
+  return bump_center_depth(pattern, voxel) + pattern.lift * pattern.radius / voxel;
+}
+
 MaterialSample allocate(const SampleDefinition& definition) {
   MaterialSample sample;
-  const double depth = std::ceil(definition.thickness / definition.voxel - 1e-6);
-  if (!(definition.width >= 4 && definition.height >= 4 && definition.width <= 2048 && definition.height <= 2048))
-    throw InputError("sample size must lie between 4 and 2048 texels in x and y");
-  if (!(definition.voxel > 0) || !(depth >= 1) || !(depth <= 512))
-    throw InputError("sample thickness must be 1 to 512 voxels");
-  sample.size = Vec3i(definition.width, definition.height, static_cast<int>(depth));
+  sample.size = procedural_sample_size(definition);
   sample.voxel = definition.voxel;
   sample.ior = definition.ior;
   const std::size_t count = sample.voxel_count();
@@ -179,13 +180,7 @@ void fill(MaterialSample& sample, const BumpsPattern& pattern, const SampleDefin
   const double nx = sample.size.x(), ny = sample.size.y();
   const std::vector<Vec2> centers = spread_points(pattern.count, nx, ny, definition.seed);
   const double radius = pattern.radius / sample.voxel;
-  const double center_depth = radius + 0.25;  // voxels below the top
-  const double ground = center_depth + pattern.lift * radius;
-  if (ground + 1 > sample.size.z())
-    throw InputError(
-        fmt::format("bumps reach {:.4g} mm deep; thickness is only {:.4g} mm; make the sample thicker or "
-                    "bumps smaller",
-                    ground * sample.voxel, sample.size.z() * sample.voxel));
+  const double center_depth = bump_center_depth(pattern, sample.voxel), ground = bump_ground(pattern, sample.voxel);
   std::vector<Vec3f> outward(sample.voxel_count());
   for_each_voxel(sample, [&](std::size_t index, const Vec3& p) {
     double ball = 1e300, stem = 1e300;  // signed distances, voxels, negative inside
@@ -241,6 +236,25 @@ void mark_surface(MaterialSample& sample, const std::vector<Vec3f>* outward) {
         sample.normal[index] = normal.norm() > 1e-6f ? normal.normalized() : Vec3f(0, 0, -1);
       }
   for (std::size_t index : surface) sample.kind[index] = VoxelKind::surface;
+}
+
+Vec3i procedural_sample_size(const SampleDefinition& definition) {
+  const double depth = std::ceil(definition.thickness / definition.voxel - 1e-6);
+  if (!(definition.width >= 4 && definition.height >= 4 && definition.width <= 2048 && definition.height <= 2048))
+    throw InputError("sample size must lie between 4 and 2048 texels in x and y");
+  if (!(definition.voxel > 0) || !(depth >= 1) || !(depth <= 512))
+    throw InputError(
+        fmt::format("a thickness of {:.6g} mm and voxels of {:.6g} mm make {:.6g} layers; expected 1 to 512",
+                    definition.thickness, definition.voxel, depth));
+  if (const auto* bumps = std::get_if<BumpsPattern>(&definition.pattern)) {
+    const double needed = std::ceil(bump_ground(*bumps, definition.voxel) + 1);
+    if (needed > depth)
+      throw InputError(fmt::format(
+          "bumps reach {:.4g} mm deep, the thickness is only {:.4g} mm; make it at least "
+          "{:.4g} mm, or the bumps' radius or lift smaller",
+          bump_ground(*bumps, definition.voxel) * definition.voxel, definition.thickness, needed * definition.voxel));
+  }
+  return {definition.width, definition.height, static_cast<int>(depth)};
 }
 
 MaterialSample make_procedural_sample(const SampleDefinition& definition) {

@@ -62,8 +62,12 @@ struct SampleDefinition {
   SamplePattern pattern;
 };
 
+// The sample's size in voxels, without making it. Throws: InputError where a size is out of range or bumps are too
+// deep.
+Vec3i procedural_sample_size(const SampleDefinition& definition);
+
 // The base volume V_b of a procedural material, tilable in x and y. Source: [STF §4, §5.1].
-// Throws: InputError where a size is out of range.
+// Throws: InputError as procedural_sample_size.
 MaterialSample make_procedural_sample(const SampleDefinition& definition);
 
 // Marks interior voxels that touch free space through a face (or stand at the top) as surface. Their normals come from

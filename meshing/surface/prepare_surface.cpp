@@ -37,6 +37,7 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
   TriangleMesh original = repair_surface(input, options.close_holes, result.repair, progress);
   result.scale = place(original, options.size);
   result.mesh = original;
+  if (!options.retile && options.longest_edge > 0) result.mesh = subdivide_long_edges(original, options.longest_edge);
   if (options.retile) {
     const Eigen::RowVector3d extent = original.vertices.colwise().maxCoeff() - original.vertices.colwise().minCoeff();
     if (!(options.spacing > 0) || options.spacing > extent.maxCoeff() / 4)

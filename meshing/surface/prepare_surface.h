@@ -13,6 +13,7 @@ struct PrepareOptions {
   double feature_angle = 45;  // degrees; see RetileOptions
   bool close_holes = false;
   bool retile = true;
+  double longest_edge = 0;  // of triangles that are not retiled: longer edges are split, mm; 0: none
 };
 
 struct PreparedSurface {

@@ -3,11 +3,16 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Geometry>
+#include <cmath>
 #include <filesystem>
+#include <numbers>
+#include <optional>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
 #include "pipeline/cli/option_table.h"
+#include "pipeline/scene/sample_description.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_document.h"
 
@@ -18,28 +23,107 @@ using nlohmann::json;
 
 std::string millimetres(double length) { return number_text(length); }
 
+// To three digits: an option that a person reads.
+double rounded(double length) { return std::strtod(fmt::format("{:.3g}", length).c_str(), nullptr); }
+
 std::string rgb_text(const Rgb& colour) { return fmt::format("{},{},{}", colour[0], colour[1], colour[2]); }
 
-// Distance between vertices of the surface: the shell's voxel, or a fixed share of the object where there is none.
-double surface_spacing(const Scene& scene) {
-  if (scene.material->shell) return scene.material->shell->voxel;
-  constexpr double parts = 200;
-  if (scene.object->size > 0) return scene.object->size / parts;
-  const TriangleMesh mesh = read_mesh(scene.object->mesh).mesh;
-  const double size = mesh.vertex_count() == 0
-                          ? 0
-                          : (mesh.vertices.colwise().maxCoeff() - mesh.vertices.colwise().minCoeff()).maxCoeff();
-  if (!(size > 0)) throw InputError(scene.object->mesh + ": has no size");
-  return size / parts;
+// How the surface is meshed, and why so. The camera has no say: it may move without a new surface.
+struct Tiling {
+  std::vector<std::string> options;
+  std::string reason;
+};
+
+Tiling choose_tiling(const Scene& scene, double size) {
+  if (scene.material->shell) {
+    const std::string voxel = millimetres(scene.material->shell->voxel);
+    return {{"--spacing", voxel}, "its vertices stand a voxel apart, because each carries a texel of the sample"};
+  }
+  constexpr double least_parts = 100;  // edges in the object's size, for its shape in the picture
+  if (scene.material->opaque) {
+    const std::string longest = millimetres(rounded(size / least_parts));
+    return {{"--no-retile", "--longest-edge", longest},
+            fmt::format("its triangles are kept, because nothing is solved on them; edges above {} mm are split, "
+                        "because soft light is found at vertices",
+                        longest)};
+  }
+  // Objects fill some part of their box, so that a grid's nodes stand closer than in a full cube: about half as far.
+  const double nodes_along = std::cbrt(scene.method.nodes);
+  const double parts = std::max(least_parts, 4 * nodes_along);
+  const std::string spacing = millimetres(rounded(size / parts));
+  return {{"--spacing", spacing},
+          parts > least_parts
+              ? fmt::format("its vertices stand {} mm apart, about half as far as the grid's {} nodes, because the "
+                            "light between these is no finer",
+                            spacing, number_text(scene.method.nodes))
+              : fmt::format("its vertices stand {} mm apart, closer than the grid's few nodes, for the object's shape",
+                            spacing)};
+}
+
+// The mesh as the file has it, in the scene's place and size.
+class PlacedMesh {
+ public:
+  explicit PlacedMesh(const SceneObject& object) : mesh_(read_mesh(object.mesh).mesh) {
+    if (mesh_.vertex_count() == 0 || mesh_.face_count() == 0) throw InputError(object.mesh + ": has no faces");
+    const Eigen::RowVector3d lower = mesh_.vertices.colwise().minCoeff(), upper = mesh_.vertices.colwise().maxCoeff();
+    size_ = (upper - lower).maxCoeff();
+    if (!(size_ > 0) || !std::isfinite(size_)) throw InputError(object.mesh + ": has no size");
+    mesh_.vertices.rowwise() -= 0.5 * (lower + upper);
+    if (object.size > 0) mesh_.vertices *= object.size / size_;
+    if (object.size > 0) size_ = object.size;
+  }
+  double size() const { return size_; }
+
+  // By the winding number: the solid angle of all faces. Source: [VanOosteromStrackee1983].
+  bool contains(const Vec3& point) const {
+    double angle = 0;
+    for (int f = 0; f < mesh_.face_count(); ++f) {
+      const Vec3 a = mesh_.corner(f, 0) - point, b = mesh_.corner(f, 1) - point, c = mesh_.corner(f, 2) - point;
+      const double la = a.norm(), lb = b.norm(), lc = c.norm();
+      angle += 2 * std::atan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb);
+    }
+    return std::abs(angle) > 2 * std::numbers::pi;
+  }
+
+ private:
+  TriangleMesh mesh_;
+  double size_ = 0;
+};
+
+// What is wrong with a scene beyond its single values. The mesh is read only where the answer hangs on it.
+void check_whole(const Scene& scene, double size, std::optional<PlacedMesh>& mesh) {
+  const auto fail = [&](const std::string& what) { throw InputError(scene.path + ": " + what); };
+  if (size < 0.01) fail(fmt::format("object.size: {} mm; expected at least 0.01 mm", number_text(size)));
+  if (scene.material->shell && scene.material->shell->voxel > size / 4)
+    fail(fmt::format("material.shell.voxel: {} mm is too coarse for an object {} mm long; expected at most a quarter",
+                     number_text(scene.material->shell->voxel), number_text(size)));
+  const auto inside = [&](const Vec3& point) {
+    if (point.cwiseAbs().maxCoeff() > 0.5 * size) return false;
+    if (!mesh) mesh.emplace(*scene.object);
+    return mesh->contains(point);
+  };
+  const auto text = [](const Vec3& p) {
+    return fmt::format("({}, {}, {})", number_text(p.x()), number_text(p.y()), number_text(p.z()));
+  };
+  if (inside(scene.camera->position))
+    fail(
+        fmt::format("camera.position: {} is inside the object, whose box is centred on the origin; expected a place "
+                    "outside",
+                    text(scene.camera->position)));
+  for (std::size_t i = 0; i < scene.lights.size(); ++i)
+    if (const auto* point = std::get_if<PointLight>(&scene.lights[i]); point && inside(point->position))
+      fail(fmt::format("lights[{}].position: {} is inside the object; expected a place outside", i,
+                       text(point->position)));
 }
 
 struct SceneCase {
   const SceneDocument& document;
   const Scene& scene;
   bool opaque, shell;
-  ExternalFile mesh, sample;
+  ExternalFile mesh;
+  std::vector<ExternalFile> sample;  // the description and the volume that it names
   std::vector<ExternalFile> light_files;
-  double spacing;
+  Tiling tiling;
 
   json part(const char* section) const {
     return document.root.contains(section) ? document.root[section] : json::object();
@@ -55,10 +139,10 @@ struct SceneCase {
 };
 
 PlannedStage prepare(const SceneCase& c) {
-  PlannedStage stage{"prepare", "the closed surface, evenly meshed"};
-  stage.reason = "every method needs the repaired surface";
-  stage.arguments = {
-      "@mesh", "-o", "surface.ply", "--size", millimetres(c.scene.object->size), "--spacing", millimetres(c.spacing)};
+  PlannedStage stage{"prepare", "the closed surface"};
+  stage.reason = "every method needs the repaired surface; " + c.tiling.reason;
+  stage.arguments = {"@mesh", "-o", "surface.ply", "--size", millimetres(c.scene.object->size)};
+  stage.arguments.insert(stage.arguments.end(), c.tiling.options.begin(), c.tiling.options.end());
   if (c.scene.object->close_holes) stage.arguments.push_back("--close-holes");
   stage.files = {c.mesh};
   stage.outputs = {"surface.ply"};
@@ -106,7 +190,7 @@ void add_shell_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
   sample.arguments = {"@sample", "-o",    "sample.vdb",
                       "--voxel", voxel,   "--thickness",
                       thickness, "--ior", number_text(c.scene.object->ior)};
-  sample.files = {c.sample};
+  sample.files = c.sample;
   textons.reason = "synthesis compares places of the sample by their appearance";
   textons.arguments = {"sample.vdb", "-o", "textons.vdb"};
   textons.artefacts = {"sample.vdb"};
@@ -156,10 +240,11 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
 
   diffuse.reason = c.shell ? "light diffuses through shell and core" : "light diffuses through the homogeneous object";
   diffuse.arguments = {"plan/diffuse.json", "polygrid.hdf", "surface.ply"};
-  diffuse.artefacts = {"polygrid.hdf", "surface.ply"};
+  diffuse.artefacts = {"surface.ply", "polygrid.hdf"};
   if (c.shell) {
     diffuse.arguments.push_back("shell.vdb");
-    diffuse.artefacts.push_back("shell.vdb");
+    // Make takes them in this order: what is wrong with a sample shows before the grid is made.
+    diffuse.artefacts.insert(diffuse.artefacts.begin() + 1, "shell.vdb");
   }
   diffuse.arguments.insert(diffuse.arguments.end(), {"-o", "fluence.hdf", "--exitance", "exitance.ply"});
   diffuse.files = c.light_files;
@@ -207,6 +292,11 @@ Plan make_plan(const std::string& scene_path) {
   need(document.root.contains("lights"), "lights");
   if (scene.lights.empty()) throw InputError(scene_path + ": lights: is empty; expected one or more");
 
+  std::optional<PlacedMesh> mesh;
+  if (scene.object->size == 0) mesh.emplace(*scene.object);
+  const double size = mesh ? mesh->size() : scene.object->size;
+  check_whole(scene, size, mesh);
+
   SceneCase scene_case{document,
                        scene,
                        scene.material->opaque.has_value(),
@@ -214,16 +304,27 @@ Plan make_plan(const std::string& scene_path) {
                        {"mesh", scene.object->mesh},
                        {},
                        {},
-                       surface_spacing(scene)};
-  if (scene_case.shell) scene_case.sample = {"sample", scene.material->shell->sample};
+                       choose_tiling(scene, size)};
+  Plan plan;
+  plan.scene = scene_path;
+  plan.read = {scene_path};
+  if (mesh) plan.read.push_back(scene.object->mesh);
+  if (scene_case.shell) {
+    const ShellMaterial& shell = *scene.material->shell;
+    scene_case.sample = {{"sample", shell.sample}};
+    plan.read.push_back(shell.sample);
+    std::string volume;
+    try {
+      volume = check_sample_description(shell.sample, {shell.voxel, shell.thickness, scene.object->ior, {}});
+    } catch (const InputError& error) {
+      throw InputError(scene_path + ": material.shell: " + error.what());
+    }
+    if (!volume.empty()) scene_case.sample.push_back({"volume", volume});
+  }
   for (std::size_t i = 0; i < document.root["lights"].size(); ++i)
     if (document.root["lights"][i].contains("image"))
       scene_case.light_files.push_back({fmt::format("light{}", i), document.root["lights"][i]["image"]});
 
-  Plan plan;
-  plan.scene = scene_path;
-  plan.read = {scene_path};
-  if (scene.object->size == 0) plan.read.push_back(scene.object->mesh);  // its extent gives the spacing
   plan.material = scene_case.opaque ? "opaque" : scene_case.shell ? "heterogeneous shell" : "homogeneous";
   plan.stages.push_back(prepare(scene_case));
   add_shell_stages(scene_case, plan.stages);

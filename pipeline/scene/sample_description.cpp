@@ -3,7 +3,9 @@
 
 #include <fmt/format.h>
 
+#include <cerrno>
 #include <cmath>
+#include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
@@ -202,21 +204,26 @@ json parse(const std::string& path) {
   }
 }
 
-}  // namespace
+bool is_volume(const std::string& path) { return std::filesystem::path(path).extension() == ".vdb"; }
 
-MaterialSample load_sample(const std::string& path, const SampleOverrides& overrides) {
-  if (std::filesystem::path(path).extension() == ".vdb") {
-    const VdbArchive archive = read_vdb(path);
-    return finish_volume(is_sample_archive(archive) ? restore_sample(archive) : import_sample(archive, {}), overrides,
-                         path);
-  }
+// What a description's text says.
+struct Description {
+  SampleOverrides settings;     // of the command line, else of the text
+  std::string volume;           // path of the volume to import; empty for procedural samples
+  VolumeImport import;          // of that volume
+  SampleDefinition definition;  // of a procedural sample
+};
+
+Description read_description(const std::string& path, const SampleOverrides& overrides) {
   const json document = parse(path);
   DescriptionSection root(path, "", document);
   const std::vector<std::string> types = {"marble", "spots", "layers", "bumps", "volume"};
   const std::string type = root.text("type", "");
   if (std::find(types.begin(), types.end(), type) == types.end())
     root.fail("type", fmt::format("'{}' is none of {}{}", type, fmt::join(types, ", "), did_you_mean(type, types)));
-  SampleOverrides settings = overrides;
+  Description description;
+  SampleOverrides& settings = description.settings;
+  settings = overrides;
   const auto setting = [&](std::optional<double>& value, const std::string& key, double least, double most) {
     const bool present = root.has(key);
     const double number = root.number(key, 0, least, most);
@@ -226,7 +233,7 @@ MaterialSample load_sample(const std::string& path, const SampleOverrides& overr
   setting(settings.thickness, "thickness", 1e-6, 1e4);
   setting(settings.ior, "ior", 1, 4);
   if (type == "volume") {
-    VolumeImport import;
+    VolumeImport& import = description.import;
     import.extinction_scale = root.number("extinction_scale", 1, 0, 1e6);
     import.albedo = root.color("albedo", import.albedo, 0, 1);
     import.anisotropy = root.color("anisotropy", import.anisotropy, -0.999, 0.999);
@@ -234,10 +241,10 @@ MaterialSample load_sample(const std::string& path, const SampleOverrides& overr
     const std::string file = root.text("file", "");
     if (file.empty()) root.fail("file", "is missing; expected a .vdb");
     root.finish();
-    const std::string resolved = (std::filesystem::path(path).parent_path() / file).string();
-    return finish_volume(import_sample(read_vdb(resolved), import), settings, resolved);
+    description.volume = (std::filesystem::path(path).parent_path() / file).string();
+    return description;
   }
-  SampleDefinition definition;
+  SampleDefinition& definition = description.definition;
   if (root.has("size")) {
     const json& size = document.at("size");
     if (!size.is_array() || size.size() != 2) root.fail("size", "expected [n_x, n_y]");
@@ -256,10 +263,39 @@ MaterialSample load_sample(const std::string& path, const SampleOverrides& overr
   definition.pattern = read_pattern(root, type);
   root.finish();
   try {
-    return make_procedural_sample(definition);
+    procedural_sample_size(definition);
   } catch (const InputError& error) {
     throw InputError(path + ": " + error.what());
   }
+  return description;
+}
+
+}  // namespace
+
+MaterialSample load_sample(const std::string& path, const SampleOverrides& overrides) {
+  if (is_volume(path)) {
+    const VdbArchive archive = read_vdb(path);
+    return finish_volume(is_sample_archive(archive) ? restore_sample(archive) : import_sample(archive, {}), overrides,
+                         path);
+  }
+  const Description description = read_description(path, overrides);
+  if (!description.volume.empty())
+    return finish_volume(import_sample(read_vdb(description.volume), description.import), description.settings,
+                         description.volume);
+  try {
+    return make_procedural_sample(description.definition);
+  } catch (const InputError& error) {
+    throw InputError(path + ": " + error.what());
+  }
+}
+
+std::string check_sample_description(const std::string& path, const SampleOverrides& overrides) {
+  if (is_volume(path)) return "";
+  const Description description = read_description(path, overrides);
+  std::error_code error;
+  if (!description.volume.empty() && !std::filesystem::is_regular_file(description.volume, error))
+    throw InputError(path + ": file: " + description.volume + ": " + std::strerror(ENOENT));
+  return description.volume;
 }
 
 }  // namespace shellgrid

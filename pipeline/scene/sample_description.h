@@ -22,4 +22,8 @@ struct SampleOverrides {
 // type, a value out of range, a missing file.
 MaterialSample load_sample(const std::string& path, const SampleOverrides& overrides);
 
+// Whether load_sample can make a sample of a JSON description, as far as its text tells; volumes are not read. Returns
+// the path of the volume that it imports, or an empty one. Throws: InputError, as load_sample.
+std::string check_sample_description(const std::string& path, const SampleOverrides& overrides);
+
 }  // namespace shellgrid

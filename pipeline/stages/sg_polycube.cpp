@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <fmt/format.h>
 
+#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
@@ -10,6 +11,7 @@
 #include "meshing/polycube/polycube_map.h"
 #include "meshing/polycube/tetrahedralize.h"
 #include "meshing/polycube/voxel_polycube.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/cli/view_path.h"
 
@@ -30,11 +32,20 @@ int main(int argc, char** argv) {
     run.start_timer("read");
     const TriangleMesh surface = boundary_of(read_tetrahedra(input));
     run.start_timer("polycube");
-    const VoxelPolycube polycube =
-        naming(input, [&] { return build_voxel_polycube(surface, options, run.progress()); });
+    const std::string asked = fmt::format("--nodes is {} (method.nodes of a scene)", number_text(options.nodes));
+    const VoxelPolycube polycube = naming(input, [&] {
+      try {
+        return build_voxel_polycube(surface, options, run.progress());
+      } catch (const InputError& error) {
+        throw InputError(std::string(error.what()) + "; " + asked);
+      }
+    });
     if (polycube.genus != polycube.object_genus)
-      run.progress().warn(fmt::format("the polycube's genus is {}, the object's {}; more --nodes may find it",
-                                      polycube.genus, polycube.object_genus));
+      run.progress().warn(
+          fmt::format("the polycube's genus is {}, the object's {}: handles or hollows narrower than {} "
+                      "mm are lost; more nodes may find them, {}",
+                      polycube.genus, polycube.object_genus,
+                      number_text(std::round(20 * polycube.spacing * polycube.cells_per_block) / 10), asked));
     run.start_timer("write");
     write_polycube(run.output(), polycube);
     const std::string view = view_path(run.output());

@@ -6,6 +6,7 @@
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/surface/prepare_surface.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 
 using namespace shellgrid;
@@ -23,10 +24,13 @@ int main(int argc, char** argv) {
                  "edges with a greater angle between their faces stay sharp; 180: none", 1, 180);
   program.flag("--close-holes", options.close_holes, "fill every hole instead of refusing an open mesh");
   program.flag("--no-retile", no_retile, "repair, scale and centre only");
+  program.option("--longest-edge", options.longest_edge, "mm",
+                 "with --no-retile: longer edges are split, without a change of shape; 0: none", 0, 1e6);
   program.example("sg-prepare bunny.off -o surface.ply --size 80 --spacing 0.4", "a bunny 80 mm long, edges of 0.4 mm");
   program.example("sg-prepare scan.obj -o surface.ply --size 80 --close-holes", "a scan that is open at the bottom");
   return program.run(argc, argv, [&](StageRun& run) {
     options.retile = !no_retile;
+    if (options.retile && options.longest_edge > 0) throw UsageError("--longest-edge needs --no-retile");
     run.start_timer("read");
     AttributedMesh input = read_mesh(mesh_path);
     run.start_timer("prepare");

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "solvers/diffusion/polygrid_diffusion.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -29,12 +31,14 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
   Rgb strongest = Rgb::Zero();
   std::int64_t under_resolved = 0, dark = 0;
   const float h = static_cast<float>(polygrid.spacing);
+  std::vector<float> reaches(count);  // cells per mean free path, inverse
   for (std::size_t k = 0; k < count; ++k) {
     const Rgb& absorption = coefficients.absorption[k];
     const Rgb& extinction = coefficients.reduced_extinction[k];
     const Rgb transport = (3 * absorption * extinction).sqrt();
     strongest = strongest.max(transport);
     under_resolved += (transport * h > 0.25f).any();
+    reaches[k] = transport.maxCoeff() * h;
     dark += (absorption > 0.47f * extinction).any();
   }
   result.cells_per_mean_free_path = (strongest > 0).select(1 / (h * strongest.max(1e-30f)), Rgb::Zero());
@@ -48,9 +52,15 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
     result.core->absorption.clear();
     result.core->reduced_extinction.clear();
   }
-  if (result.under_resolved > 0.01)
-    progress.warn("the diffuse mean free path spans fewer than 4 cells in " + percent(result.under_resolved) +
-                  " of the object: expect errors above 0.5 %; try more nodes");
+  if (result.under_resolved > 0.01) {
+    const auto rank = reaches.begin() + static_cast<std::ptrdiff_t>(0.99 * static_cast<double>(count - 1));
+    std::nth_element(reaches.begin(), rank, reaches.end());
+    const double nodes = static_cast<double>(polygrid.graph.interior.rows() + polygrid.graph.boundary.rows());
+    progress.warn(
+        fmt::format("the diffuse mean free path spans fewer than 4 cells in {} of the object: expect errors "
+                    "above 0.5 %; 4 cells would take {:.1g} nodes (method.nodes), this grid has {:.2g}",
+                    percent(result.under_resolved), nodes * std::pow(*rank / 0.25, 3), nodes));
+  }
   if (result.dark > 0.001)
     progress.warn("the reduced albedo is below 0.53 in " + percent(result.dark) + " of the object, where diffusion" +
                   (result.beams ? " is off by a sixth and more" : "'s exitance turns negative"));
@@ -67,7 +77,8 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
 }
 
 // Says what is wrong with a solution; refuses one that is no picture of anything.
-void judge_solution(const DiffusionOptions& options, const DiffusionResult& result, Progress& progress) {
+void judge_solution(const Polygrid& polygrid, const DiffusionOptions& options, const DiffusionResult& result,
+                    Progress& progress) {
   const double negative = static_cast<double>(result.negative_vertices) / static_cast<double>(result.exitance.size());
   if (options.operator_name == "paper") {
     const double defect = std::max(
@@ -81,7 +92,7 @@ void judge_solution(const DiffusionOptions& options, const DiffusionResult& resu
   if (impossible)
     throw NumericalError("less than no light leaves: the exitance is negative at " + percent(negative) +
                          " of the vertices; the grid's cells are wider than the light's reach, or the material is too "
-                         "dark for diffusion; try more nodes, a smaller object or a higher albedo");
+                         "dark for diffusion; try more nodes (method.nodes), a smaller object or a higher albedo");
   if (negative > 0)
     progress.warn("the exitance is negative at " + std::to_string(result.negative_vertices) + " of " +
                   std::to_string(result.exitance.size()) +
@@ -91,9 +102,11 @@ void judge_solution(const DiffusionOptions& options, const DiffusionResult& resu
     if (result.surface_entering[c] > 0)
       lost = std::max(lost, std::abs(1 - result.energy.entering[c] / result.surface_entering[c]));
   if (lost > 0.02)
-    progress.warn("the grid receives " + percent(lost) +
-                  " less or more light than the surface, from which it stays up to " +
-                  std::to_string(result.largest_distance) + " mm away; try more nodes");
+    progress.warn(fmt::format(
+        "the grid receives {} less or more light than the surface, from which it stays up to {:.3g} mm away, its cells "
+        "{:.3g} mm wide; try more nodes (method.nodes) than its {:.2g}",
+        percent(lost), result.largest_distance, polygrid.spacing,
+        static_cast<double>(polygrid.graph.interior.rows() + polygrid.graph.boundary.rows())));
 }
 
 // What either operator yields: at the polygrid's points.
@@ -273,7 +286,7 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   }
   result.surface_entering = surface_integral(surface, irradiance.values);
   result.surface_leaving = surface_integral(surface, result.exitance);
-  judge_solution(options, result, progress);
+  judge_solution(polygrid, options, result, progress);
   result.irradiance = std::move(irradiance.values);
   return result;
 }

@@ -21,7 +21,7 @@ while words:
         outputs.append(words.pop(0))
     elif word.startswith("-"):
         options.append(word)
-        if word not in ("-q", "--close-holes"):
+        if word not in ("-q", "--close-holes", "--no-retile"):
             options.append(words.pop(0))
     else:
         files.append(word)
@@ -63,7 +63,7 @@ class PlanTest(unittest.TestCase):
         os.mkdir(self.scenes)
         self.out = os.path.join(self.root, "out")
         self.put("ball.off", "a mesh")
-        self.put("marble.json", "a sample")
+        self.put_sample(1)
         self.content = scene("ball.off", material=dict(SHELL))
         self.put_scene()
 
@@ -76,6 +76,10 @@ class PlanTest(unittest.TestCase):
     def put(self, name, text):
         with open(os.path.join(self.scenes, name), "w") as file:
             file.write(text)
+
+    def put_sample(self, seed):
+        jade = {"absorption": 0.01, "scattering": 1}
+        self.put("marble.json", json.dumps({"type": "spots", "seed": seed, "materials": {"body": jade, "spot": jade}}))
 
     def put_scene(self):
         self.put("scene.json", json.dumps(self.content, indent=1))
@@ -156,7 +160,7 @@ class PlanTest(unittest.TestCase):
         self.content["method"]["tolerance"] = 0.02
         self.put_scene()
         self.assertEqual(self.remake(), ["diffuse", "render"])
-        self.put("marble.json", "another sample")
+        self.put_sample(2)
         self.assertEqual(self.remake(), ["sample", "textons", "synthesize", "shell", "diffuse", "render"])
         self.content["method"]["nodes"] = 5000
         self.put_scene()
@@ -174,7 +178,7 @@ class PlanTest(unittest.TestCase):
         self.content["camera"]["fov"] = 26
         self.put_scene()
         self.assertEqual(self.make(), ["render"])
-        self.put("marble.json", "yet another sample")
+        self.put_sample(3)
         self.assertEqual(self.make(), ["sample", "textons", "synthesize", "shell", "diffuse", "render"])
         self.assertEqual(self.make(), [])
         self.content["material"] = {"opaque": {}}
@@ -320,6 +324,97 @@ class PlanTest(unittest.TestCase):
         bare = subprocess.run([os.path.join(self.bin, "sg-plan"), os.path.join(self.scenes, "scene.json"), "--why"],
                               capture_output=True, text=True)
         self.assertEqual(bare.returncode, 0)
+
+    def test_what_scene_and_sample_alone_tell_is_told_at_planning(self):
+        """Not after minutes of other stages."""
+        with open(os.path.join(self.scenes, "ball.off"), "w") as file:
+            file.write("OFF\n4 4 0\n1 1 1\n1 -1 -1\n-1 1 -1\n-1 -1 1\n3 0 1 2\n3 0 3 1\n3 0 2 3\n3 1 3 2\n")
+
+        def refused(*parts):
+            self.put_scene()
+            done = self.plan()
+            self.assertEqual((done.returncode, done.stderr.count("\n")), (3, 1), done.stderr)
+            for part in parts:
+                self.assertIn(part, done.stderr)
+            self.assertFalse(os.path.exists(self.out))
+
+        bump = {"absorption": 0.01, "scattering": 1}
+        self.put("bumps.json", json.dumps({"type": "bumps", "radius": 2, "lift": 1,
+                                           "materials": {"body": bump, "bump": bump}}))
+        self.content["material"]["shell"]["sample"] = "bumps.json"
+        refused("material.shell", "bumps.json: bumps reach 4.125 mm deep, the thickness is only 2 mm", "at least 5 mm")
+        self.content["material"]["shell"]["thickness"] = 5
+        self.put_scene()
+        self.assertEqual(self.plan().returncode, 0)
+        shutil.rmtree(self.out)
+        self.content["material"]["shell"]["voxel"] = 0.005
+        refused("material.shell", "1000 layers", "1 to 512")
+        self.content["material"]["shell"].update(sample="marble.json", voxel=5.01, thickness=6)
+        refused("material.shell.voxel", "at most a quarter")
+        self.put("marble.json", '{"type": "spots", "cuont": 3}')
+        self.content["material"]["shell"].update(voxel=1, thickness=4)
+        refused("material.shell", "marble.json: materials: is missing")
+        self.put("marble.json", '{"type": "volume", "file": "gone.vdb"}')
+        refused("marble.json: file:", "gone.vdb")
+        self.content["material"] = {"core": {"named": "skin1"}}
+        for position, inside in [([0, 0, 0], True), ([1, 2, 1], True), ([-6, -6, -6], False), ([9, 9, -9], False)]:
+            self.content["camera"]["position"] = position
+            self.content["camera"]["look_at"] = [0, 0, 1]
+            if inside:
+                refused("camera.position", "is inside the object")
+            else:
+                self.put_scene()
+                self.assertEqual(self.plan().returncode, 0, position)
+                shutil.rmtree(self.out)
+        self.content["lights"].append({"type": "point", "position": [0, 1, 0], "intensity": 1})
+        refused("lights[1].position: (0, 1, 0) is inside the object")
+
+    def test_the_surface_is_as_fine_as_the_method_needs(self):
+        self.plan()
+        self.assertIn("--size 20 --spacing 0.5 ", self.text("Makefile"))
+        self.content["material"] = {"core": {"named": "skin1"}}
+        # Half of the nodes' distance, and a hundredth of the object at least.
+        for nodes, spacing in [(1e3, "0.2"), (1e5, "0.108"), (8e6, "0.025")]:
+            self.content["method"]["nodes"] = nodes
+            self.put_scene()
+            self.assertIn("its vertices stand %s mm apart" % spacing, self.plan("--why").stdout)
+            self.assertIn("--size 20 --spacing %s " % spacing, self.text("Makefile"))
+        self.content["material"] = {"opaque": {}}
+        self.put_scene()
+        self.assertRegex(self.plan("--why").stdout, "prepare .* its triangles are kept, because")
+        self.assertIn("--size 20 --no-retile --longest-edge 0.2 ", self.text("Makefile"))
+
+    def test_a_volume_that_the_sample_names_is_watched(self):
+        self.put("grown.vdb", "a volume")
+        self.put("marble.json", '{"type": "volume", "file": "grown.vdb"}')
+        self.remake()
+        self.put("grown.vdb", "another volume")
+        self.assertEqual(self.make()[:1], ["sample"])
+        self.assertEqual(self.make(), [])
+
+    def test_values_in_a_scene_key_s_range_are_in_the_stages_ranges(self):
+        """What planning accepts is no usage error of a stage."""
+        ranges = {name: {o["flags"][-1]: (o.get("least"), o.get("most")) for o in json.loads(subprocess.run(
+            [os.path.join(BIN, "sg-" + name), "--help-json"], capture_output=True, text=True).stdout)["options"]}
+            for name in STAGES}
+        keys = subprocess.run([os.path.join(BIN, "sg-plan"), "--scene-keys"], capture_output=True, text=True).stdout
+        seen = set()
+        for key, options in {"object.size": ["prepare --size"], "object.ior": ["sample --ior"],
+                             "material.shell.thickness": ["sample --thickness", "shell --thickness"],
+                             "material.shell.voxel": ["prepare --spacing", "distance --voxel", "sample --voxel",
+                                                      "synthesize --voxel"],
+                             "material.core.absorption": ["shell --core-absorption"],
+                             "material.core.scattering": ["shell --core-scattering"],
+                             "material.core.anisotropy": ["shell --core-anisotropy"],
+                             "method.nodes": ["polycube --nodes"]}.items():
+            row = next(line.split("|") for line in keys.splitlines() if "`%s`" % key in line)
+            least, most = (float(x) for x in row[5].split("…"))
+            for option in options:
+                program, flag = option.split()
+                self.assertLessEqual(ranges[program][flag][0], least, option)
+                self.assertGreaterEqual(ranges[program][flag][1], most, option)
+                seen.add(option)
+        self.assertEqual(len(seen), 12)
 
     def test_a_scene_without_what_a_picture_needs_is_refused(self):
         for missing in ("object", "material", "lights", "camera"):
