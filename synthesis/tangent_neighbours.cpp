@@ -20,8 +20,8 @@ TangentNeighbour find_tangent_neighbour(const TexturedSurface& surface, const Ve
   std::int32_t nearest = -1;
   if (length > 0) {
     const Vec2 heading = offset / length;
-    const SurfacePoint end = walk_from_vertex(surface.mesh, surface.half_edges, vertex, normal,
-                                              heading.x() * u + heading.y() * v, length * voxel);
+    const SurfaceWalkEnd end = walk_from_vertex(surface.mesh, surface.half_edges, vertex, normal,
+                                                heading.x() * u + heading.y() * v, length * voxel);
     if (end.face < 0) return neighbour;
     position = end.position;
     at_normal = end.normal;

@@ -31,9 +31,9 @@ std::int32_t first_half_edge(const TriangleMesh& mesh, const HalfEdges& half_edg
 
 }  // namespace
 
-SurfacePoint walk_from_vertex(const TriangleMesh& mesh, const HalfEdges& half_edges, int vertex, const Vec3& normal,
-                              const Vec3& direction, double length) {
-  SurfacePoint point;
+SurfaceWalkEnd walk_from_vertex(const TriangleMesh& mesh, const HalfEdges& half_edges, int vertex, const Vec3& normal,
+                                const Vec3& direction, double length) {
+  SurfaceWalkEnd point;
   std::int32_t entry = first_half_edge(mesh, half_edges, vertex, normal, direction);
   if (entry < 0) return point;
   const auto face_normal = [&](std::int32_t face) {

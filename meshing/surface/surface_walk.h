@@ -5,7 +5,7 @@
 namespace shellgrid {
 
 // Where a straight walk on a mesh ended.
-struct SurfacePoint {
+struct SurfaceWalkEnd {
   std::int32_t face = -1;  // −1: the walk met a boundary or a degenerate triangle
   Vec3 position = Vec3::Zero();
   Vec3 direction = Vec3::Zero();  // of the walk in the face's plane, unit
@@ -15,7 +15,7 @@ struct SurfacePoint {
 // Walks from a vertex along a straight geodesic: straight within triangles, unfolded across edges.
 // normal, direction: unit, the latter in the vertex's tangent plane; length ≥ 0, mm.
 // Source: [Polthier1998].
-SurfacePoint walk_from_vertex(const TriangleMesh& mesh, const HalfEdges& half_edges, int vertex, const Vec3& normal,
-                              const Vec3& direction, double length);
+SurfaceWalkEnd walk_from_vertex(const TriangleMesh& mesh, const HalfEdges& half_edges, int vertex, const Vec3& normal,
+                                const Vec3& direction, double length);
 
 }  // namespace shellgrid

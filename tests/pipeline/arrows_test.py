@@ -36,8 +36,27 @@ def may_include(source, target):
     return None
 
 
-def sources():
-    for room in ROOMS:
+NAMESPACE = re.compile(r"^(?:inline )?namespace ?([\w:]*) ?\{")
+DEFINITION = re.compile(r"^(?:struct|class|enum(?: class)?) (\w+)(?![\w:])[^;]*\{|^inline (?!constexpr |namespace ).*?(\w+)\(")
+
+
+def shared_definitions(text):
+    """Namespace and name of each type and inline function that more than one file may see."""
+    namespaces = []
+    for line in text.splitlines():
+        opened = NAMESPACE.match(line)
+        if opened:
+            namespaces.append(opened.group(1))
+        elif line.startswith("}  // namespace"):
+            namespaces.pop()
+        elif "" not in namespaces:
+            found = DEFINITION.match(line)
+            if found:
+                yield "::".join(namespaces + [found.group(1) or found.group(2)])
+
+
+def sources(rooms=ROOMS):
+    for room in rooms:
         for folder, _, names in os.walk(os.path.join(SOURCE, room)):
             for name in names:
                 if name.endswith((".h", ".cpp")):
@@ -70,6 +89,21 @@ class ArrowsTest(unittest.TestCase):
         for source, target in [("meshing/surface/a.cpp", "meshing/core/b.h"), ("meshing/formats/a.cpp", "meshing/shell/b.h"),
                                ("solvers/render/a.cpp", "meshing/core/b.h"), ("pipeline/stages/a.cpp", "synthesis/b.h")]:
             self.assertIsNone(may_include(source, target), (source, target))
+
+    def test_no_name_is_defined_twice(self):
+        """Two definitions of one name in one program: the linker takes either, which no compiler reports."""
+        self.assertEqual(list(shared_definitions("namespace a {\nstruct B {\n};\nnamespace {\nclass C {\n}  // namespace\n"
+                                                 "inline int d(int e) {\n}  // namespace a\ninline int f(")),
+                         ["a::B", "a::d", "f"])
+        homes = {}
+        for source in sources(ROOMS + ("tests",)):
+            # Each stage, benchmark and probe is a program of its own.
+            if source.startswith(("pipeline/stages/", "tests/benchmarks/")):
+                continue
+            with open(os.path.join(SOURCE, source)) as file:
+                for name in shared_definitions(file.read()):
+                    self.assertEqual(homes.setdefault(name, source), source, name)
+        self.assertGreater(len(homes), 150)
 
     def test_every_source_names_its_licence_first_and_stays_of_readable_length(self):
         for source in sources():

@@ -9,7 +9,7 @@ import programs
 PROBE = os.path.join(programs.BIN, "sanitizer_probe")
 FINDINGS = os.path.join(programs.SOURCE, "tests", "sanitizers", "findings.cmake")
 # A child that ends by _exit, as guarded children do, looks for no leaks.
-FAULTS = ["read-past-the-end", "overflow", "read-nowhere", "allocate-too-much"]
+FAULTS = ["read-past-the-end", "overflow", "read-nowhere", "allocate-too-much", "fail-an-assertion"]
 
 
 @unittest.skipUnless(os.path.exists(PROBE), "built without sanitizers")

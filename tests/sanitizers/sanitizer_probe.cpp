@@ -10,6 +10,7 @@
 #include <limits>
 #include <map>
 #include <string>
+#include <vector>
 
 #include "meshing/core/guarded_child.h"
 
@@ -40,6 +41,11 @@ void read_nowhere() { sink = *reinterpret_cast<volatile int*>(static_cast<std::s
 
 void allocate_too_much() { lost = ::operator new (std::size_t{1} << 60 >> (size - 4)); }
 
+void fail_an_assertion() {
+  std::vector<int> none;
+  sink = none[static_cast<std::size_t>(size)];
+}
+
 // Runs it in a forked process and waits.
 void in_child(const std::function<void()>& work) {
   const pid_t child = ::fork();
@@ -58,7 +64,8 @@ int main(int count, char** arguments) {
                                                             {"overflow", overflow},
                                                             {"leak", leak},
                                                             {"read-nowhere", read_nowhere},
-                                                            {"allocate-too-much", allocate_too_much}};
+                                                            {"allocate-too-much", allocate_too_much},
+                                                            {"fail-an-assertion", fail_an_assertion}};
   if (count != 3 || faults.count(arguments[1]) == 0) return 2;
   const auto& fault = faults.at(arguments[1]);
   const auto as_foreign = [&] {

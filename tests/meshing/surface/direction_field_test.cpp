@@ -79,7 +79,7 @@ TEST(SurfaceWalk, FollowsGreatCirclesOfASphere) {
   for (int vertex : {0, 100, 777, 4000}) {
     const Vec3 normal = mesh.vertex(vertex).normalized();
     const Vec3 direction = normal.cross(Vec3(0.3, -0.7, 0.5)).normalized();
-    const SurfacePoint end =
+    const SurfaceWalkEnd end =
         walk_from_vertex(mesh, half_edges, vertex, normals.row(vertex).transpose(), direction, 0.5 * radius);
     ASSERT_GE(end.face, 0);
     const Vec3 expected = radius * (std::cos(0.5) * normal + std::sin(0.5) * direction);
@@ -95,7 +95,7 @@ TEST(SurfaceWalk, IsExactOnAPlaneAndEndsAtItsBoundary) {
   for (int k = 0; k < 36; ++k) {
     const double angle = k * std::numbers::pi / 18 + 0.01;
     const Vec3 direction(std::cos(angle), std::sin(angle), 0);
-    const SurfacePoint end = walk_from_vertex(mesh, half_edges, middle, Vec3(0, 0, 1), direction, 3.3);
+    const SurfaceWalkEnd end = walk_from_vertex(mesh, half_edges, middle, Vec3(0, 0, 1), direction, 3.3);
     ASSERT_GE(end.face, 0);
     EXPECT_LT((end.position - mesh.vertex(middle) - 3.3 * direction).norm(), 1e-9);
     EXPECT_EQ(walk_from_vertex(mesh, half_edges, middle, Vec3(0, 0, 1), direction, 8).face, -1);
