@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/polycube/block_grid.h"
+#include "meshing/core/error.h"
 
 #include <algorithm>
 #include <array>
@@ -189,6 +190,46 @@ void fill_cavities(BlockGrid& grid) {
   }
   for (std::size_t b = 0; b < outside.size(); ++b)
     if (!outside[b]) grid.filled[b] = 1;
+}
+
+std::vector<Vec3i> fill_to_visible(const std::vector<Vec3i>& blocks) {
+  if (blocks.empty()) return {};
+  Vec3i low = blocks.front(), high = blocks.front();
+  for (const Vec3i& b : blocks) low = low.cwiseMin(b), high = high.cwiseMax(b);
+  // Only blocks of the bounding box: full, it is such a polycube, so that the filling ends.
+  BlockGrid grid(high - low + Vec3i::Constant(3));
+  const Vec3i shift = Vec3i::Ones() - low;
+  for (const Vec3i& b : blocks) grid.filled[grid.index(b + shift)] = 1;
+  for (bool changed = true; changed;) {
+    changed = false;
+    fill_cavities(grid);
+    for (int k = 1; k < grid.size.z(); ++k)
+      for (int j = 1; j < grid.size.y(); ++j)
+        for (int i = 1; i < grid.size.x(); ++i) {
+          const Vec3i corner(i, j, k);
+          for (;;) {
+            const int window = window_at(grid, corner);
+            if (window == 0 || window == 255 || (is_well_composed(window) && has_visible_normal(window))) break;
+            // The empty block here with the most filled ones around it.
+            int most = -1;
+            Vec3i best = Vec3i::Zero();
+            for (int n = 0; n < 8; ++n) {
+              const Vec3i block = corner - Vec3i::Ones() + Vec3i(n & 1, n >> 1 & 1, n >> 2);
+              if (grid.at(block) || !grid.may_fill(block)) continue;
+              int around = 0;
+              for (const Vec3i& d : face_directions) around += grid.at(block + d);
+              if (around > most) most = around, best = block;
+            }
+            if (most < 0) throw InternalError("voxel polycube: a window cannot be mended");
+            grid.filled[grid.index(best)] = 1;
+            changed = true;
+          }
+        }
+  }
+  std::vector<Vec3i> result;
+  for (std::size_t b = 0; b < grid.filled.size(); ++b)
+    if (grid.filled[b]) result.push_back(grid.place(b) - shift);
+  return result;
 }
 
 std::size_t count_ill_composed(const BlockGrid& grid) {

@@ -56,6 +56,10 @@ long boundary_euler_characteristic(const BlockGrid& grid);
 void keep_largest_component(BlockGrid& grid);
 void fill_cavities(BlockGrid& grid);
 
+// Adds blocks until the boundary is a manifold all of whose points see their faces: a thin layer then fits on the
+// lattice without any optimisation. Ascending in (z, y, x) like the blocks given.
+std::vector<Vec3i> fill_to_visible(const std::vector<Vec3i>& blocks);
+
 // Blocks of the boundary where the surface is not a manifold.
 std::size_t count_ill_composed(const BlockGrid& grid);
 

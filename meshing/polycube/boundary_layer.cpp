@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <numeric>
+#include <set>
 
 #include "meshing/core/parallel.h"
 #include "meshing/polycube/hexahedra_region.h"
@@ -22,6 +24,8 @@ constexpr double poor_scaled_jacobian = 0.1;
 constexpr double surface_tolerance = 2e-3;
 // Links farther off the normal are improved: the cosine of 15°.
 constexpr double poor_link_cosine = 0.966;
+// The inner points' pull to the layer's depth, relative to the outer points' pull to the surface.
+constexpr double inner_pull = 0.02;
 // How far, in cells, a face that looks the same way as the grid is preferred to a nearer one.
 constexpr double same_side_reach = 2;
 
@@ -77,16 +81,24 @@ class LayerBuilder {
   void set_by_visible_normals() {
     const std::vector<Vec3> direction = visible_normals();
     std::vector<double> height(grid_.twin.size(), thickness_);
-    for (int round = 0; round < 24; ++round) {
-      for (std::size_t outer = 0; outer < height.size(); ++outer)
-        outer_row(outer) = grid_.points.row(grid_.twin[outer]) + height[outer] * direction[outer].transpose();
-      const std::vector<std::int32_t> bad = cells_below(least_relative_jacobian);
-      bool changed = false;
-      for (std::int32_t c : bad)
-        for (std::int32_t p : cells_[c])
-          if (p >= core_points() && height[p - core_points()] > thickness_ * std::pow(0.5, round + 0.5))
-            height[p - core_points()] *= 0.5, changed = true;
-      if (!changed) break;
+    const auto place = [&](std::size_t outer) {
+      outer_row(outer) = grid_.points.row(grid_.twin[outer]) + height[outer] * direction[outer].transpose();
+    };
+    for (std::size_t outer = 0; outer < height.size(); ++outer) place(outer);
+    std::vector<std::int32_t> suspects(grid_.layer.size());
+    std::iota(suspects.begin(), suspects.end(), static_cast<std::int32_t>(grid_.core.cells.size()));
+    for (int round = 0; round < 24 && !suspects.empty(); ++round) {
+      std::set<std::int32_t> next;
+      for (std::int32_t c : cells_below(least_relative_jacobian, suspects))
+        for (std::int32_t p : cells_[c]) {
+          if (p < core_points()) continue;
+          const std::size_t outer = static_cast<std::size_t>(p - core_points());
+          if (!(height[outer] > thickness_ * std::pow(0.5, round + 0.5))) continue;
+          height[outer] *= 0.5;
+          place(outer);
+          next.insert(around_.begin(p), around_.end(p));
+        }
+      suspects.assign(next.begin(), next.end());
     }
   }
 
@@ -128,22 +140,65 @@ class LayerBuilder {
     }
   }
 
-  // Draws the outer points around the given cells to the surface and their twins below them along its normal.
-  void improve(const std::vector<std::int32_t>& poor, int rings, int steps, double pull) {
+  // Optimises core and layer together while the outer points are drawn to the surface.
+  void optimize_all(int steps, int iterations, double first_weight, double last_weight) {
+    HexahedraRegion all;
+    all.cells.resize(cells_.size());
+    std::iota(all.cells.begin(), all.cells.end(), 0);
+    all.local = cells_;
+    all.points.resize(grid_.points.rows());
+    std::iota(all.points.begin(), all.points.end(), 0);
+    all.locked.assign(all.points.size(), 0);
+    HexahedraOptimization optimization = optimization_of(all);
+    for (int step = 0; step < steps; ++step) {
+      const double part = steps > 1 ? static_cast<double>(step) / (steps - 1) : 1.0;
+      attract(all, first_weight * std::pow(last_weight / first_weight, part), optimization);
+      VertexMatrix points = grid_.points;
+      const double lowest = optimization.least_corner_jacobian(points);
+      // From a valid start with ε = 0 cells that are nearly inverted would hold the others back.
+      const bool safe = !inside_.empty() && inside_.front();
+      const double epsilon = safe || (step + 1 == steps && lowest > 1e-3) ? 0 : 0.1 * std::pow(0.3, step);
+      optimization.minimize(points, iterations, epsilon);
+      put(all, points);
+    }
+  }
+
+  // From a valid grid: draws it to the surface while every cell stays valid, judged inside as well.
+  void approach() {
+    std::fill(inside_.begin(), inside_.end(), 1);
+    const VertexMatrix valid = grid_.points;
+    for (double weight : {0.25, 1.0, 4.0, 16.0, 64.0}) {
+      const VertexMatrix before = grid_.points;
+      optimize_all(2, 30, weight, weight);
+      if (cells_below(0).empty()) continue;
+      put_all(before);
+      break;
+    }
+    snap(false);
+    snap(true);
+    if (!cells_below(0).empty()) put_all(valid);
+  }
+
+  // Draws the outer points around the given cells to the surface; where they are to stay, their twins below them along
+  // its normal.
+  void improve(const std::vector<std::int32_t>& poor, int rings, int steps, double pull, bool keep_outer) {
     for (std::int32_t c : poor)
       if (scaled_jacobian(grid_.points, cells_[c]) < poor_scaled_jacobian) weight_[c] = std::min(64.0, weight_[c] * 2);
     for (const HexahedraRegion& region : regions_around(cells_, around_, poor, rings)) {
       HexahedraOptimization optimization = optimization_of(region);
       VertexMatrix points = points_of(region);
       for (int step = 0; step < steps; ++step) {
-        attract(region, pull, optimization);
+        if (keep_outer)
+          hold(region, optimization);
+        else
+          attract(region, pull, optimization);
         optimization.minimize(points, 30, 0);
         const VertexMatrix before = points_of(region);
         put(region, points);
         // The energy sees the corners only, but for cells that were caught.
         bool caught = false;
         for (std::int32_t c : region.cells)
-          if (!(relative_jacobian(c) > least_relative_jacobian)) caught = true, inside_[c] = 1;
+          if (!is_above(c, least_relative_jacobian)) caught = true, inside_[c] = 1;
         if (!caught) continue;
         put(region, before);
         points = before;
@@ -176,33 +231,44 @@ class LayerBuilder {
     return result;
   }
 
-  // Moves outer points onto the surface, each only as far as its cells stay valid: to the point nearest to its twin
-  // where the link then is along the normal, else to the nearest one.
-  void snap() {
+  // Moves outer points onto the surface, each only as far as its cells stay valid and as well shaped as they may be:
+  // to the point nearest to its twin where the link then is along the normal, else to the nearest one.
+  void snap(bool at_any_shape) {
     const VertexMatrix normals = boundary_normals(grid_.core);
+    std::vector<std::array<TargetSurface::Nearest, 3>> all_choices(grid_.twin.size());
+    parallel_for(grid_.twin.size(), [&](std::size_t outer) {
+      const Vec3 place = outer_place(outer);
+      const Vec3 facing = normals.row(grid_.twin[outer]).transpose().stableNormalized();
+      all_choices[outer] = {target_of(normals, outer),
+                            surface_.nearest_same_side(place / scale_, facing, same_side_reach / scale_),
+                            surface_.nearest(place / scale_)};
+    });
     for (std::size_t outer = 0; outer < grid_.twin.size(); ++outer) {
+      const auto& choices = all_choices[outer];
       const Vec3 place = outer_place(outer);
       const Vec3 twin = grid_.points.row(grid_.twin[outer]).transpose();
-      const Vec3 facing = normals.row(grid_.twin[outer]).transpose().stableNormalized();
-      const TargetSurface::Nearest choices[3] = {
-          target_of(normals, outer), surface_.nearest_same_side(place / scale_, facing, same_side_reach / scale_),
-          surface_.nearest(place / scale_)};
       const auto off_normal = [&](const Vec3& point, const Vec3& normal) {
         const Vec3 link = point - twin;
         return 1 - link.dot(normal) / std::max(1e-300, link.norm());
       };
-      // On the surface where that is possible, then by the link's direction.
-      double best = choices[2].distance * scale_ < 1e-7 ? off_normal(place, choices[2].normal)
-                                                        : std::numeric_limits<double>::infinity();
+      const bool on_surface = choices[2].distance * scale_ < 1e-7;
+      const double shape = least_scaled_jacobian_around(outer);
+      // By the link's direction; cells below the shape wanted only where there is no other way onto the surface.
       Vec3 kept = place;
-      for (const TargetSurface::Nearest& choice : choices) {
-        const double cost = off_normal(choice.point * scale_, choice.normal);
-        if (!(cost < best - 1e-9)) continue;
-        outer_row(outer) = (choice.point * scale_).transpose();
-        if (is_valid_around(outer)) best = cost, kept = outer_place(outer);
-        outer_row(outer) = kept.transpose();
+      double best = on_surface ? off_normal(place, choices[2].normal) : std::numeric_limits<double>::infinity();
+      for (double wanted : {poor_scaled_jacobian, 0.5 * poor_scaled_jacobian, -1.0}) {
+        if (wanted < 0 && !at_any_shape) break;
+        for (const TargetSurface::Nearest& choice : choices) {
+          const double cost = off_normal(choice.point * scale_, choice.normal);
+          if (!(cost < best - 1e-9)) continue;
+          outer_row(outer) = (choice.point * scale_).transpose();
+          if (is_valid_around(outer) && least_scaled_jacobian_around(outer) > std::min(wanted, shape))
+            best = cost, kept = outer_place(outer);
+          outer_row(outer) = kept.transpose();
+        }
+        if (std::isfinite(best)) break;
       }
-      if (std::isfinite(best)) continue;
+      if (std::isfinite(best) || !at_any_shape) continue;
       for (double part : {0.75, 0.5, 0.25, 0.125}) {
         outer_row(outer) = (place + part * (choices[2].point * scale_ - place)).transpose();
         if (is_valid_around(outer)) break;
@@ -212,12 +278,18 @@ class LayerBuilder {
   }
 
   std::vector<std::int32_t> cells_below(double margin) const {
-    std::vector<std::uint8_t> low(cells_.size());
-    parallel_for(low.size(),
-                 [&](std::size_t c) { low[c] = !(relative_jacobian(static_cast<std::int32_t>(c)) > margin); });
+    std::vector<std::int32_t> all(cells_.size());
+    std::iota(all.begin(), all.end(), 0);
+    return cells_below(margin, all);
+  }
+
+  // Of the given cells.
+  std::vector<std::int32_t> cells_below(double margin, const std::vector<std::int32_t>& cells) const {
+    std::vector<std::uint8_t> low(cells.size());
+    parallel_for(low.size(), [&](std::size_t i) { low[i] = !is_above(cells[i], margin); });
     std::vector<std::int32_t> result;
-    for (std::size_t c = 0; c < low.size(); ++c)
-      if (low[c]) result.push_back(static_cast<std::int32_t>(c));
+    for (std::size_t i = 0; i < low.size(); ++i)
+      if (low[i]) result.push_back(cells[i]);
     return result;
   }
 
@@ -231,13 +303,23 @@ class LayerBuilder {
   }
   bool is_layer(std::int32_t c) const { return static_cast<std::size_t>(c) >= grid_.core.cells.size(); }
 
-  double relative_jacobian(std::int32_t c) const {
-    return least_jacobian(grid_.points, cells_[c]) / (is_layer(c) ? thickness_ : 1.0);
+  // Whether the Jacobian is above `margin` of the target volume at the corners and Gauss points.
+  bool is_above(std::int32_t c, double margin) const {
+    return least_jacobian(grid_.points, cells_[c], margin * (is_layer(c) ? thickness_ : 1.0)) >
+           margin * (is_layer(c) ? thickness_ : 1.0);
   }
 
   bool is_valid_around(std::size_t outer) const {
     const std::int32_t p = static_cast<std::int32_t>(core_points() + static_cast<Eigen::Index>(outer));
-    return std::all_of(around_.begin(p), around_.end(p), [&](std::int32_t c) { return relative_jacobian(c) > 1e-3; });
+    return std::all_of(around_.begin(p), around_.end(p), [&](std::int32_t c) { return is_above(c, 1e-3); });
+  }
+
+  double least_scaled_jacobian_around(std::size_t outer) const {
+    const std::int32_t p = static_cast<std::int32_t>(core_points() + static_cast<Eigen::Index>(outer));
+    double least = 1;
+    for (const std::int32_t* c = around_.begin(p); c != around_.end(p); ++c)
+      least = std::min(least, scaled_jacobian(grid_.points, cells_[*c]));
+    return least;
   }
 
   // The surface point nearest to an outer point's twin: from there the link is along the normal.
@@ -291,6 +373,17 @@ class LayerBuilder {
     optimization.cell_weight = std::move(weights);
     optimization.inside = std::move(inside);
     optimization.locked = region.locked;
+    optimization.link_length = thickness_;
+    optimization.twin.assign(region.points.size(), -1);
+    std::map<std::int32_t, std::int32_t> inner;
+    for (std::size_t p = 0; p < region.points.size(); ++p)
+      if (region.points[p] < core_points() && outer_of_[region.points[p]] >= 0)
+        inner[region.points[p]] = static_cast<std::int32_t>(p);
+    for (std::size_t p = 0; p < region.points.size(); ++p) {
+      if (region.points[p] < core_points()) continue;
+      const auto found = inner.find(grid_.twin[static_cast<std::size_t>(region.points[p] - core_points())]);
+      if (found != inner.end()) optimization.twin[p] = found->second;
+    }
     return optimization;
   }
 
@@ -305,6 +398,27 @@ class LayerBuilder {
       grid_.points.row(region.points[p]) = points.row(p);
       if (region.points[p] < core_points()) grid_.core.points.row(region.points[p]) = points.row(p);
     }
+  }
+
+  // Locks the outer points and draws their twins below them.
+  void hold(const HexahedraRegion& region, HexahedraOptimization& optimization) const {
+    optimization.plane_attractions.clear();
+    for (std::size_t p = 0; p < region.points.size(); ++p) {
+      if (region.points[p] < core_points()) continue;
+      optimization.locked[p] = 1;
+      const std::int32_t inner = optimization.twin[p];
+      if (inner < 0 || optimization.locked[inner]) continue;
+      const Vec3 place = grid_.points.row(region.points[p]).transpose();
+      const TargetSurface::Nearest nearest = surface_.nearest(place / scale_);
+      if (nearest.distance * scale_ > surface_tolerance) continue;
+      optimization.plane_attractions.push_back({inner, place - thickness_ * nearest.normal, nearest.normal, 0.0, 0});
+      optimization.plane_attractions.back().weight = 4, optimization.plane_attractions.back().tangential = 1;
+    }
+  }
+
+  void put_all(const VertexMatrix& points) {
+    grid_.points = points;
+    grid_.core.points = points.topRows(core_points());
   }
 
   void attract(const HexahedraRegion& region, double pull, HexahedraOptimization& optimization) const {
@@ -336,7 +450,7 @@ class LayerBuilder {
         optimization.plane_attractions.push_back({outer_point, target, nearest.normal, pull, 0.1});
       if (!optimization.locked[inner_point])
         optimization.plane_attractions.push_back(
-            {inner_point, target - thickness_ * nearest.normal, nearest.normal, 0.25 * pull, 0.1});
+            {inner_point, target - thickness_ * nearest.normal, nearest.normal, inner_pull * pull, 0.1});
     }
   }
 
@@ -356,7 +470,7 @@ std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid) {
   std::vector<std::uint8_t> inverted(grid.core.cells.size() + grid.layer.size());
   parallel_for(inverted.size(), [&](std::size_t c) {
     const std::size_t core = grid.core.cells.size();
-    inverted[c] = !(least_jacobian(grid.points, c < core ? grid.core.cells[c] : grid.layer[c - core]) > 0);
+    inverted[c] = !(least_jacobian(grid.points, c < core ? grid.core.cells[c] : grid.layer[c - core], 0) > 0);
   });
   std::vector<std::int32_t> result;
   for (std::size_t c = 0; c < inverted.size(); ++c)
@@ -370,6 +484,7 @@ LayeredGrid layer_on_lattice(const std::vector<Vec3i>& blocks, int refinement, c
   LayerBuilder builder(grid, surface, scale, thickness);
   builder.set_by_visible_normals();
   builder.untangle();
+  if (builder.cells_below(0).empty()) builder.approach();
   return grid;
 }
 
@@ -381,12 +496,18 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
   builder.set_by_visible_normals();
   builder.project();
   builder.untangle();
-  for (int round = 0; round < 6; ++round) {
+  builder.optimize_all(2, 25, 16, 64);
+  builder.untangle();
+  constexpr int rounds = 4;
+  for (int round = 0; round < rounds && builder.cells_below(0).empty(); ++round) {
     const std::vector<std::int32_t> poor = builder.cells_to_improve();
-    if (poor.empty() || !builder.cells_below(0).empty()) break;
-    builder.improve(poor, 3, 4, 64 * std::pow(2.0, round));
-    builder.snap();
+    if (poor.empty()) break;
+    builder.snap(false);
+    builder.improve(builder.cells_to_improve(), 3, 2, 64 * std::pow(3.0, round), false);
+    builder.snap(round + 1 == rounds);
+    builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
   }
+  builder.snap(false);
   progress.end();
   return grid;
 }

@@ -22,8 +22,9 @@ struct LayeredGrid {
 LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, double scale, double thickness,
                                Progress& progress = no_progress());
 
-// The polycube's lattice as it is with a layer of the given thickness on top: valid without any optimisation where
-// every boundary point sees all its faces, mended elsewhere. It does not reach the surface.
+// The polycube's lattice with a layer on top, drawn towards the surface as far as every cell stays valid at every step.
+// It always ends valid where every boundary point sees all its faces; elsewhere the layer has to be mended first, and
+// the result may hold inverted cells.
 LayeredGrid layer_on_lattice(const std::vector<Vec3i>& blocks, int refinement, const TargetSurface& surface,
                              double scale, double thickness);
 

@@ -105,6 +105,27 @@ double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell)
   return least;
 }
 
+double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell, double enough) {
+  // Edges differ from their mean by at most δ, and |det(A + E) − det A| ≤ Π(|aᵢ| + δᵢ) − Π|aᵢ| by multilinearity.
+  Mat3 mean = Mat3::Zero();
+  Vec3 edges[3][4];
+  for (int axis = 0; axis < 3; ++axis)
+    for (int k = 0, n = 0; k < 8; ++k) {
+      if (k >> axis & 1) continue;
+      edges[axis][n] = (points.row(cell[k | 1 << axis]) - points.row(cell[k])).transpose();
+      mean.col(axis) += 0.25 * edges[axis][n++];
+    }
+  double lengths = 1, longest = 1;
+  for (int axis = 0; axis < 3; ++axis) {
+    double spread = 0;
+    for (const Vec3& e : edges[axis]) spread = std::max(spread, (e - mean.col(axis)).squaredNorm());
+    const double length = mean.col(axis).norm();
+    lengths *= length, longest *= length + std::sqrt(spread);
+  }
+  const double bound = mean.determinant() - (longest - lengths);
+  return bound > enough ? bound : least_jacobian(points, cell);
+}
+
 double scaled_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell) {
   double least = 1;
   for (int k = 0; k < 8; ++k) {
@@ -271,8 +292,22 @@ double HexahedraOptimization::minimize(VertexMatrix& points, int iterations, dou
       for (std::size_t i = begin; i < end; ++i) a.data()[i] += factor * b.data()[i];
     });
   };
-  // Per point (stiffness·I + curvature of the attractions)⁻¹.
+  // Per point (stiffness·I + curvature of the attractions)⁻¹. Of a thin layer's points, inner ones move with their
+  // outer ones; the unknown beside is the link in units of its length.
   constexpr double stiffness = 4;
+  const auto is_locked = [&](std::size_t i) { return !locked.empty() && locked[i]; };
+  struct Link {
+    std::size_t inner, outer;
+  };
+  std::vector<Link> links;
+  std::vector<double> scale(count, 1);
+  for (std::size_t i = 0; i < twin.size(); ++i) {
+    if (twin[i] < 0) continue;
+    const std::size_t inner = static_cast<std::size_t>(twin[i]);
+    if (!is_locked(i) && !is_locked(inner)) links.push_back({inner, i});
+    if (!is_locked(i)) scale[i] = link_length;
+    if (is_locked(i)) scale[inner] = link_length;
+  }
   std::vector<Mat3> inverse_blocks(count, Mat3::Zero());
   for (const PlaneAttraction& pull : plane_attractions)
     inverse_blocks[pull.point] +=
@@ -280,12 +315,18 @@ double HexahedraOptimization::minimize(VertexMatrix& points, int iterations, dou
   for (const QuadAttraction& pull : quad_attractions)
     for (int k = 0; k < 4; ++k)
       inverse_blocks[pull.corners[k]].diagonal().array() += pull.weight * std::abs(pull.beta[k]);
+  for (const Link& link : links) inverse_blocks[link.inner] += inverse_blocks[link.outer];
   parallel_for(count, [&](std::size_t i) {
-    inverse_blocks[i] = Mat3((inverse_blocks[i] + stiffness * Mat3::Identity()).inverse());
+    const double s2 = scale[i] * scale[i];
+    inverse_blocks[i] = Mat3((s2 * inverse_blocks[i] + stiffness * Mat3::Identity()).inverse() * s2);
   });
   const auto precondition = [&](VertexMatrix& v) {
     parallel_for(
+        links.size(), [&](std::size_t i) { v.row(links[i].inner) += v.row(links[i].outer); }, 2048);
+    parallel_for(
         count, [&](std::size_t i) { v.row(i) = (inverse_blocks[i] * v.row(i).transpose()).eval().transpose(); }, 2048);
+    parallel_for(
+        links.size(), [&](std::size_t i) { v.row(links[i].outer) += v.row(links[i].inner); }, 2048);
   };
 
   struct Pair {

@@ -17,6 +17,8 @@ std::array<double, 8> corner_jacobians(const VertexMatrix& points, const Lattice
 // The least determinant at the corners and at the 3×3×3 Gauss points, relative to the cube of `spacing`
 // times `height`.
 double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell);
+// The same, or a lower bound of it that is greater than `enough`.
+double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell, double enough);
 // The least over the corners of determinant over the product of edge lengths: 1 for a box, ≤ 0 inverted.
 double scaled_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell);
 
@@ -52,6 +54,10 @@ class HexahedraOptimization {
   std::vector<PlaneAttraction> plane_attractions;
   std::vector<QuadAttraction> quad_attractions;
   std::vector<std::uint8_t> locked;  // n or empty: points that stay
+  // Of an outer point of a thin layer its inner twin, else −1 (n or empty: none). The search then moves both together,
+  // and the link between them by `link_length`, so that a thin layer does not slow it.
+  std::vector<std::int32_t> twin;
+  double link_length = 0.1;
   double theta = 0.2;
   // Weight of each cell (m or empty: ones).
   std::vector<double> cell_weight;

@@ -137,7 +137,7 @@ class Embedding {
   std::vector<std::int32_t> inverted() const {
     std::vector<std::uint8_t> low(grid_.cells.size());
     parallel_for(low.size(), [&](std::size_t c) {
-      low[c] = !(least_jacobian(grid_.points, grid_.cells[c]) > least_core_jacobian);
+      low[c] = !(least_jacobian(grid_.points, grid_.cells[c], least_core_jacobian) > least_core_jacobian);
     });
     std::vector<std::int32_t> result;
     for (std::size_t c = 0; c < low.size(); ++c)

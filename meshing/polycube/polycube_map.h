@@ -38,8 +38,8 @@ struct PolycubeMapOptions {
   double layer_thickness = 0.1;  // depth at which the core's boundary is sought, in cells
   int coarse_steps = 8;
   int coarse_iterations = 30;
-  int fine_steps = 7;
-  int fine_iterations = 25;
+  int fine_steps = 4;
+  int fine_iterations = 15;
 };
 
 // Maps a polycube into an object: coarse to fine, cells keep their shape and positive Jacobians while

@@ -9,6 +9,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
+#include "meshing/polycube/block_grid.h"
 #include "meshing/polycube/boundary_layer.h"
 #include "meshing/polycube/laplacian_weights.h"
 
@@ -122,12 +123,20 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
       add_boundary_layer(map_polycube(polycube.blocks, polycube.cells_per_block, target, map_options, progress), target,
                          scale, options.layer_thickness, progress);
   if (!inverted_cells(layered).empty()) {
-    progress.warn("cells stay inverted at the surface; the grid keeps the polycube's own shape instead");
+    progress.warn(
+        "cells stay inverted at the surface; the grid starts again from the polycube's own shape and keeps farther "
+        "from the surface");
     layered = layer_on_lattice(polycube.blocks, polycube.cells_per_block, target, scale, options.layer_thickness);
+  }
+  if (!inverted_cells(layered).empty()) {
+    const std::vector<Vec3i> filled = fill_to_visible(polycube.blocks);
+    progress.warn(std::to_string(filled.size() - polycube.blocks.size()) +
+                  " blocks are added to the polycube, whose corners leave no room for a boundary layer");
+    layered = layer_on_lattice(filled, polycube.cells_per_block, target, scale, options.layer_thickness);
   }
   const std::vector<std::int32_t> inverted = inverted_cells(layered);
   if (!inverted.empty())
-    throw NumericalError(std::to_string(inverted.size()) + " cells stay inverted; try another --nodes for sg-polycube");
+    throw InternalError("polygrid: " + std::to_string(inverted.size()) + " cells are inverted on the lattice itself");
 
   Polygrid polygrid;
   polygrid.spacing = polycube.spacing;
@@ -159,15 +168,13 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
     polygrid.outer_twin[p] = layered.twin[o];
     const Vec3 place = layered.points.row(p).transpose() / scale;
     const Vec3 twin = layered.points.row(layered.twin[o]).transpose() / scale;
-    TargetSurface::Nearest nearest =
+    const TargetSurface::Nearest nearest =
         target.nearest_facing(place, normals.row(layered.twin[o]).transpose().stableNormalized());
-    // On an edge or a corner of the mesh the surface has a cone of normals: where this is the twin's nearest point
-    // from inside, the link's own direction is one of them.
-    const Vec3 link = place - twin;
-    if (nearest.barycentric.minCoeff() < 1e-6 && link.dot(nearest.face_normal) > 1e-9 * link.norm() &&
-        target.nearest(twin).distance > (1 - 1e-9) * link.norm())
-      nearest.normal = link.normalized();
-    polygrid.point_normal.row(p) = nearest.normal.transpose();
+    // On an edge or a corner of the mesh the surface has a cone of normals: of these the link's own direction.
+    const Vec3 at_edge = target.nearest_normal(nearest.point, place - twin, 1e-6);
+    const Vec3 normal =
+        at_edge.dot(nearest.normal) > 0 && nearest.barycentric.minCoeff() < 1e-5 ? at_edge : nearest.normal;
+    polygrid.point_normal.row(p) = normal.transpose();
   });
   polygrid.boundary_quads.resize(quads, 4);
   for (Eigen::Index q = 0; q < quads; ++q)
@@ -188,7 +195,7 @@ PolygridQuality measure_polygrid(const Polygrid& polygrid, const VoxelPolycube& 
   parallel_for(cells, [&](std::size_t c) {
     const LatticeHexahedron cell = lattice_cell(polygrid, static_cast<Eigen::Index>(c));
     scaled[c] = scaled_jacobian(polygrid.points, cell);
-    inverted[c] = !(least_jacobian(polygrid.points, cell) > 0);
+    inverted[c] = !(least_jacobian(polygrid.points, cell, 0) > 0);
   });
   quality.scaled_jacobian_min = *std::min_element(scaled.begin(), scaled.end());
   for (std::size_t c = 0; c < cells; ++c) {

@@ -146,6 +146,48 @@ TargetSurface::Nearest TargetSurface::search(const Vec3& place, const Vec3& faci
   return best;
 }
 
+Vec3 TargetSurface::nearest_normal(const Vec3& place, const Vec3& direction, double tolerance) const {
+  std::vector<Vec3> normals;
+  int stack[128], depth = 0;
+  stack[depth++] = 0;
+  while (depth > 0) {
+    const Node& node = nodes_[stack[--depth]];
+    if (box_distance2(place, node.lower, node.upper) > tolerance * tolerance) continue;
+    if (node.count == 0) {
+      stack[depth++] = node.first, stack[depth++] = node.first + 1;
+      continue;
+    }
+    for (int i = node.first; i < node.first + node.count; ++i) {
+      const int f = order_[i];
+      const Vec3 a = mesh_.corner(f, 0), b = mesh_.corner(f, 1), c = mesh_.corner(f, 2);
+      const Vec3 barycentric = nearest_barycentric(place, a, b, c);
+      const Vec3 point = barycentric[0] * a + barycentric[1] * b + barycentric[2] * c;
+      if ((place - point).norm() <= tolerance && face_normals_[f].squaredNorm() > 0)
+        normals.push_back(face_normals_[f]);
+    }
+  }
+  if (normals.empty()) return Vec3::Zero();
+  // Least squares with non-negative coefficients, one coefficient after another.
+  const Vec3 wanted = direction.stableNormalized();
+  std::vector<double> share(normals.size(), 0);
+  Vec3 rest = wanted;
+  for (int sweep = 0; sweep < 100; ++sweep) {
+    double moved = 0;
+    for (std::size_t i = 0; i < normals.size(); ++i) {
+      const double change = std::max(-share[i], normals[i].dot(rest));
+      share[i] += change;
+      rest -= change * normals[i];
+      moved = std::max(moved, std::abs(change));
+    }
+    if (moved < 1e-12) break;
+  }
+  const Vec3 nearest = wanted - rest;
+  if (nearest.norm() > 1e-6) return nearest.normalized();
+  // Against all of them: the one that is least so.
+  return *std::max_element(normals.begin(), normals.end(),
+                           [&](const Vec3& a, const Vec3& b) { return a.dot(wanted) < b.dot(wanted); });
+}
+
 std::vector<TargetSurface::Sample> TargetSurface::samples(int count) const {
   double total = 0;
   std::vector<double> area(mesh_.face_count());

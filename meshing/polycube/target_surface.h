@@ -36,6 +36,11 @@ class TargetSurface {
     return found.face >= 0 ? found : nearest_facing(place, facing);
   }
 
+  // The unit vector nearest to `direction` in the cone of outward normals at a place of the surface: the normals of all
+  // faces nearer than `tolerance` and what lies between them, so that at an edge or a corner every inward direction
+  // between its faces' counts as normal. Zero where there is no face.
+  Vec3 nearest_normal(const Vec3& place, const Vec3& direction, double tolerance) const;
+
   const TriangleMesh& mesh() const { return mesh_; }
   // `count` points spread evenly by area: midpoints of a systematic walk over the faces.
   std::vector<Sample> samples(int count) const;

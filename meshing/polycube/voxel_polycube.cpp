@@ -10,90 +10,27 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/core/random.h"
+#include "meshing/polycube/block_parts.h"
+#include "meshing/polycube/sample_raster.h"
 #include "meshing/polycube/target_surface.h"
 #include "meshing/surface/repair.h"
 
 namespace shellgrid {
 namespace {
 
-constexpr int samples_per_block = 4;  // along each axis
+constexpr int samples_per_block = BlockParts::samples_per_block;
 constexpr int samples_in_block = samples_per_block * samples_per_block * samples_per_block;
-
-// Inside flags on a regular lattice of samples.
-struct Raster {
-  Vec3 lower;      // corner of sample (0, 0, 0)'s cube
-  double spacing;  // of samples
-  Vec3i size;
-  std::vector<std::uint8_t> inside;
-
-  bool at(const Vec3i& s) const {
-    if ((s.array() < 0).any() || (s.array() >= size.array()).any()) return false;
-    return inside[(static_cast<std::size_t>(s.x()) * size.y() + s.y()) * size.z() + s.z()];
-  }
-  Vec3 centre(const Vec3i& s) const { return lower + spacing * (s.cast<double>() + Vec3::Constant(0.5)); }
-};
-
-// Sign of (b − a) × (p − a), the same with opposite sign for (b, a): neighbours agree on a shared edge.
-double consistent_side(const Vec2& a, const Vec2& b, const Vec2& p) {
-  const bool ordered = a.x() < b.x() || (a.x() == b.x() && a.y() < b.y());
-  const Vec2& s = ordered ? a : b;
-  const Vec2& e = ordered ? b : a;
-  const double area = (e.x() - s.x()) * (p.y() - s.y()) - (e.y() - s.y()) * (p.x() - s.x());
-  const double side = area >= 0 ? 1 : -1;
-  return ordered ? side : -side;
-}
-
-Raster rasterize(const TriangleMesh& surface, const Vec3& lower, double spacing, const Vec3i& size) {
-  Raster raster{lower, spacing, size, {}};
-  raster.inside.assign(static_cast<std::size_t>(size.x()) * size.y() * size.z(), 0);
-  std::vector<std::vector<double>> crossings(static_cast<std::size_t>(size.x()) * size.y());
-  for (int f = 0; f < surface.face_count(); ++f) {
-    const Vec3 p[3] = {surface.corner(f, 0), surface.corner(f, 1), surface.corner(f, 2)};
-    const Vec2 a = p[0].head<2>(), b = p[1].head<2>(), c = p[2].head<2>();
-    const double area = (b.x() - a.x()) * (c.y() - a.y()) - (b.y() - a.y()) * (c.x() - a.x());
-    const Vec2 low = a.cwiseMin(b).cwiseMin(c), high = a.cwiseMax(b).cwiseMax(c);
-    const int i0 = std::max(0, static_cast<int>(std::floor((low.x() - lower.x()) / spacing - 0.5)));
-    const int i1 = std::min(size.x() - 1, static_cast<int>(std::ceil((high.x() - lower.x()) / spacing - 0.5)));
-    const int j0 = std::max(0, static_cast<int>(std::floor((low.y() - lower.y()) / spacing - 0.5)));
-    const int j1 = std::min(size.y() - 1, static_cast<int>(std::ceil((high.y() - lower.y()) / spacing - 0.5)));
-    for (int i = i0; i <= i1; ++i)
-      for (int j = j0; j <= j1; ++j) {
-        const Vec2 q = raster.centre({i, j, 0}).head<2>();
-        const double ab = consistent_side(a, b, q), bc = consistent_side(b, c, q), ca = consistent_side(c, a, q);
-        if (!(ab == bc && bc == ca)) continue;
-        double z;
-        if (std::abs(area) > 0) {
-          const double wb = ((q.x() - a.x()) * (c.y() - a.y()) - (q.y() - a.y()) * (c.x() - a.x())) / area;
-          const double wc = ((b.x() - a.x()) * (q.y() - a.y()) - (b.y() - a.y()) * (q.x() - a.x())) / area;
-          z = p[0].z() + std::clamp(wb, 0.0, 1.0) * (p[1].z() - p[0].z()) +
-              std::clamp(wc, 0.0, 1.0) * (p[2].z() - p[0].z());
-        } else {
-          z = (p[0].z() + p[1].z() + p[2].z()) / 3;
-        }
-        crossings[static_cast<std::size_t>(i) * size.y() + j].push_back(z);
-      }
-  }
-  parallel_for(crossings.size(), [&](std::size_t column) {
-    std::vector<double>& z = crossings[column];
-    std::sort(z.begin(), z.end());
-    for (std::size_t n = 0; n + 1 < z.size(); n += 2) {
-      const int k0 = std::max(0, static_cast<int>(std::ceil((z[n] - lower.z()) / spacing - 0.5)));
-      const int k1 = std::min(size.z() - 1, static_cast<int>(std::ceil((z[n + 1] - lower.z()) / spacing - 0.5)) - 1);
-      for (int k = k0; k <= k1; ++k) raster.inside[column * size.z() + k] = 1;
-    }
-  });
-  return raster;
-}
 
 // Blocks of the sample raster, shifted by whole samples.
 struct Fractions {
   BlockGrid shape;              // only its size
   Vec3i shift = Vec3i::Zero();  // samples
-  std::vector<float> volume;    // per block: part of the samples inside
+  BlockParts parts;
+  std::vector<float> volume;  // per block: part of the samples inside
 };
 
-Fractions block_fractions(const Raster& raster, const Vec3i& shift, const Vec3i& counts) {
-  Fractions result{BlockGrid(counts), shift, {}};
+Fractions block_fractions(const SampleRaster& raster, const Vec3i& shift, const Vec3i& counts) {
+  Fractions result{BlockGrid(counts), shift, BlockParts(raster, shift, counts), {}};
   result.volume.assign(result.shape.filled.size(), 0);
   parallel_for(
       result.volume.size(),
@@ -102,15 +39,35 @@ Fractions block_fractions(const Raster& raster, const Vec3i& shift, const Vec3i&
         int inside = 0;
         for (int i = 0; i < samples_per_block; ++i)
           for (int j = 0; j < samples_per_block; ++j)
-            for (int k = 0; k < samples_per_block; ++k) inside += raster.at(base + Vec3i(i, j, k));
+            for (int k = 0; k < samples_per_block; ++k) inside += raster.inside(base + Vec3i(i, j, k));
         result.volume[b] = static_cast<float>(inside) / samples_in_block;
       },
       1024);
   return result;
 }
 
+// Empties blocks until none joins parts of the object that are apart, the emptier one of two.
+void part_blocks(BlockGrid& grid, const Fractions& fractions) {
+  for (std::size_t b = 0; b < grid.filled.size(); ++b) {
+    const Vec3i block = grid.place(b);
+    for (int axis = 0; axis < 3; ++axis) {
+      const Vec3i next = block + Vec3i::Unit(axis);
+      if (!grid.filled[b] || !grid.at(next) || !fractions.parts.are_parted(block, axis)) continue;
+      const std::size_t n = grid.index(next);
+      grid.filled[fractions.volume[b] < fractions.volume[n] ? b : n] = 0;
+    }
+  }
+}
+
+std::size_t count_joints(const BlockGrid& grid, const BlockParts& parts) {
+  std::size_t count = 0;
+  for (std::size_t b = 0; b < grid.filled.size(); ++b)
+    count += grid.filled[b] && parts.joins_parts(grid, grid.place(b));
+  return count;
+}
+
 // Fills blocks until the boundary is a manifold: monotone, so it ends.
-void fill_to_manifold(BlockGrid& grid, const std::vector<float>& fraction) {
+void fill_to_manifold(BlockGrid& grid, const std::vector<float>& fraction, const BlockParts& parts) {
   for (;;) {
     fill_cavities(grid);
     bool changed = false;
@@ -127,8 +84,8 @@ void fill_to_manifold(BlockGrid& grid, const std::vector<float>& fraction) {
               int faces = 0;
               for (int axis = 0; axis < 3; ++axis)
                 for (int side : {-1, 1}) faces += grid.at(block + side * Vec3i::Unit(axis));
-              const double score =
-                  (faces > 0 ? 4 : 0) + (is_simple_flip(grid, block) ? 2 : 0) + fraction[grid.index(block)];
+              const double score = (faces > 0 ? 4 : 0) + (is_simple_flip(grid, block) ? 2 : 0) +
+                                   fraction[grid.index(block)] + (parts.joins_parts(grid, block) ? 0 : 8);
               if (score > best_score) best_score = score, best = block;
             }
             if (best_score < 0) throw InternalError("voxel polycube: a window cannot be mended");
@@ -173,12 +130,12 @@ Coverage coverage(const BlockGrid& grid, const std::vector<Vec3>& places) {
 }
 
 // The farthest inside sample of a block from filled blocks other than this one, in blocks.
-double uncovered_depth(const BlockGrid& grid, const Raster& raster, const Vec3i& shift, const Vec3i& block) {
+double uncovered_depth(const BlockGrid& grid, const SampleRaster& raster, const Vec3i& shift, const Vec3i& block) {
   double farthest = 0;
   for (int n = 0; n < samples_in_block; ++n) {
     const Vec3i local(n % samples_per_block, n / samples_per_block % samples_per_block,
                       n / samples_per_block / samples_per_block);
-    if (!raster.at(shift + samples_per_block * block + local)) continue;
+    if (!raster.inside(shift + samples_per_block * block + local)) continue;
     const Vec3 place = block.cast<double>() + (local.cast<double>() + Vec3::Constant(0.5)) / samples_per_block;
     farthest = std::max(farthest, distance_to_filled(grid, place, 2, &block));
   }
@@ -186,7 +143,7 @@ double uncovered_depth(const BlockGrid& grid, const Raster& raster, const Vec3i&
 }
 
 // Fills simple blocks where the object sticks out by more than half a block.
-void grow_into_extremities(BlockGrid& grid, const Raster& raster, const Fractions& fractions) {
+void grow_into_extremities(BlockGrid& grid, const SampleRaster& raster, const Fractions& fractions) {
   std::vector<std::size_t> candidates;
   for (std::size_t b = 0; b < grid.filled.size(); ++b)
     if (fractions.volume[b] >= 0.06f && grid.may_fill(grid.place(b))) candidates.push_back(b);
@@ -197,6 +154,7 @@ void grow_into_extremities(BlockGrid& grid, const Raster& raster, const Fraction
     for (std::size_t b : candidates) {
       const Vec3i block = grid.place(b);
       if (grid.filled[b] || !is_simple_flip(grid, block)) continue;
+      if (fractions.parts.joins_parts(grid, block)) continue;
       if (uncovered_depth(grid, raster, fractions.shift, block) <= 0.5) continue;
       grid.filled[b] = 1;
       grew = true;
@@ -231,8 +189,8 @@ double shape_cost(unsigned around) {
 }
 
 // Smooths the polycube's stairs by simple flips at a falling temperature.
-void anneal_stairs(BlockGrid& grid, const Raster& raster, const Fractions& fractions, const TargetSurface& surface,
-                   const Vec3& origin, double block_edge, int sweeps) {
+void anneal_stairs(BlockGrid& grid, const SampleRaster& raster, const Fractions& fractions,
+                   const TargetSurface& surface, const Vec3& origin, double block_edge, int sweeps) {
   // Blocks near the boundary and their signed squared distance, positive outside.
   std::vector<std::size_t> candidates;
   for (std::size_t b = 0; b < grid.filled.size(); ++b) {
@@ -266,6 +224,7 @@ void anneal_stairs(BlockGrid& grid, const Raster& raster, const Fractions& fract
       const double change = shape_cost(around ^ (1u << 13)) - shape_cost(around) + (fills ? outside[c] : -outside[c]);
       if (change > 0 && to_unit(hash64(0x57a125u, sweep, b)) >= std::exp(-change / temperature)) continue;
       if (!is_simple_flip(around)) continue;
+      if (fills && fractions.parts.joins_parts(grid, block)) continue;
       if (!fills && uncovered_depth(grid, raster, fractions.shift, block) > 0.6) continue;
       grid.filled[b] ^= 1;
     }
@@ -294,7 +253,8 @@ double score_of(const Candidate& candidate, int object_genus, int cells_per_bloc
   const Coverage cover = coverage(candidate.grid, to_block_places(samples, candidate.origin, block_edge));
   const SingularityCounts singular = count_singularities(candidate.grid);
   const double blocks = static_cast<double>(candidate.grid.count());
-  return (wrong > 0 ? 1e4 * (1 + wrong) : 0) + 20 * std::max(0.0, cover.p99 * cells_per_block - 0.3) +
+  const double joints = static_cast<double>(count_joints(candidate.grid, candidate.fractions->parts));
+  return (wrong > 0 ? 1e4 * (1 + wrong) : 0) + 50 * joints + 20 * std::max(0.0, cover.p99 * cells_per_block - 0.3) +
          4 * std::max(0.0, cover.most * cells_per_block - 0.8) +
          (20.0 * static_cast<double>(singular.corners) + 3.0 * static_cast<double>(singular.edges)) /
              std::pow(blocks, 2.0 / 3);
@@ -344,10 +304,10 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
   // Off the round numbers that meshes like to lie on.
   const Vec3 lower = low - block_edge * Vec3(2.5137, 2.5171, 2.5113);
   progress.begin("voxel fractions", 0);
-  const Raster raster = rasterize(surface, lower, sample_spacing, samples_per_block * (counts + Vec3i::Ones()));
-  std::vector<Fractions> fractions(8);
+  const SampleRaster raster = rasterize(surface, lower, sample_spacing, samples_per_block * (counts + Vec3i::Ones()));
+  std::vector<Fractions> fractions;
   for (int o = 0; o < 8; ++o)
-    fractions[o] = block_fractions(raster, samples_per_block / 2 * Vec3i(o & 1, o >> 1 & 1, o >> 2), counts);
+    fractions.push_back(block_fractions(raster, samples_per_block / 2 * Vec3i(o & 1, o >> 1 & 1, o >> 2), counts));
   progress.end();
 
   const TargetSurface target(surface);
@@ -365,9 +325,10 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
         for (std::size_t b = 0; b < candidate.grid.filled.size(); ++b)
           candidate.grid.filled[b] =
               candidate.fractions->volume[b] >= thresholds[c / 8] && candidate.grid.may_fill(candidate.grid.place(b));
+        part_blocks(candidate.grid, *candidate.fractions);
         keep_largest_component(candidate.grid);
         if (candidate.grid.count() == 0) return;
-        fill_to_manifold(candidate.grid, candidate.fractions->volume);
+        fill_to_manifold(candidate.grid, candidate.fractions->volume, candidate.fractions->parts);
         // The lowest threshold is for objects that the others miss.
         candidate.score = score_of(candidate, result.object_genus, result.cells_per_block, few_samples, block_edge) +
                           (c / 8 == 3 ? 50 : 0);

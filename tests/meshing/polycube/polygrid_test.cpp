@@ -10,6 +10,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/random.h"
+#include "meshing/polycube/block_grid.h"
 #include "meshing/polycube/boundary_layer.h"
 #include "meshing/polycube/hexahedra_optimization.h"
 #include "meshing/polycube/laplacian_weights.h"
@@ -191,12 +192,83 @@ TEST_P(PolygridOfShape, falls_back_on_a_valid_lattice) {
   EXPECT_EQ(grid.layer.size(), static_cast<std::size_t>(polygrid_.boundary_quads.rows()));
 }
 
+TEST_P(PolygridOfShape, does_not_depend_on_the_unit) {
+  TriangleMesh small = surface_;
+  small.vertices /= 1024;
+  PolycubeOptions options;
+  options.nodes = 2e4;
+  options.blocks = 2500;
+  const VoxelPolycube polycube = build_voxel_polycube(small, options);
+  const Polygrid grid = build_polygrid(polycube, small, {});
+  ASSERT_EQ(grid.cells, polygrid_.cells);
+  EXPECT_LT((1024 * grid.points - polygrid_.points).cwiseAbs().maxCoeff(), 1e-9 * polygrid_.spacing);
+}
+
 INSTANTIATE_TEST_SUITE_P(Shapes, PolygridOfShape,
                          testing::Values(Case{"sphere", make_sphere, 0, 0.5}, Case{"torus", make_torus, 1, 0.5},
                                          Case{"double_torus", shapes::double_torus, 2, 1.5},
                                          Case{"slab", make_slab, 0, 2}, Case{"cube", make_cube, 0, 1},
                                          Case{"branching", shapes::branching, 0, 1.5}),
                          [](const auto& info) { return info.param.name; });
+
+// Polycubes that are not of the surface at all: no fit is to be had, and the grid must be valid all the same.
+TEST(Polygrid, is_valid_whatever_the_polycube) {
+  struct Mismatch {
+    TriangleMesh surface, other;
+  };
+  const Mismatch cases[] = {{shapes::torus(10, 4), shapes::sphere(13)},
+                            {shapes::sphere(10), shapes::double_torus()},
+                            {shapes::branching(), shapes::torus(10, 3)},
+                            {shapes::box(20, 20, 0.5), shapes::branching()}};
+  for (const Mismatch& mismatch : cases) {
+    PolycubeOptions options;
+    options.nodes = 1500;
+    options.blocks = 200;
+    VoxelPolycube polycube = build_voxel_polycube(mismatch.other, options);
+    const Vec3 middle =
+        0.5 *
+        (mismatch.surface.vertices.colwise().maxCoeff() + mismatch.surface.vertices.colwise().minCoeff()).transpose();
+    const Vec3 other =
+        0.5 * (mismatch.other.vertices.colwise().maxCoeff() + mismatch.other.vertices.colwise().minCoeff()).transpose();
+    polycube.origin += middle - other;
+    const Polygrid grid = build_polygrid(polycube, mismatch.surface, {});
+    const PolygridQuality quality = measure_polygrid(grid, polycube, mismatch.surface);
+    EXPECT_EQ(quality.inverted_cells, 0);
+    EXPECT_TRUE(grid.points.allFinite());
+    EXPECT_TRUE(grid.graph.weights.allFinite());
+  }
+}
+
+// Blocks scattered at random, made a manifold: corners of every kind, some of which see not all their faces.
+TEST(Polygrid, lays_a_valid_layer_on_any_lattice) {
+  RandomStream random(11, 3);
+  for (int trial = 0; trial < 12; ++trial) {
+    std::vector<Vec3i> blocks;
+    for (int k = 0; k < 5; ++k)
+      for (int j = 0; j < 5; ++j)
+        for (int i = 0; i < 5; ++i)
+          if (random.next() < 0.6) blocks.push_back({i, j, k});
+    blocks = fill_to_visible(blocks);
+    TriangleMesh surface = shapes::sphere(2.5);
+    surface.vertices.rowwise() += Vec3::Constant(2.5).transpose();
+    const LayeredGrid grid = layer_on_lattice(blocks, 1 + trial % 2, TargetSurface(surface), 1 + trial % 2, 0.1);
+    EXPECT_TRUE(inverted_cells(grid).empty()) << trial;
+  }
+}
+
+TEST(TargetSurface, takes_every_direction_between_the_faces_of_an_edge_for_a_normal) {
+  const TargetSurface box(shapes::box(2, 2, 2));
+  const Vec3 at_edge(2, 2, 1), at_face(2, 1.2, 1), at_corner(2, 2, 2);
+  const Vec3 between = Vec3(1, 0.3, 0).normalized();
+  EXPECT_LT((box.nearest_normal(at_edge, between, 1e-6) - between).norm(), 1e-9);
+  EXPECT_LT((box.nearest_normal(at_face, between, 1e-6) - Vec3::UnitX()).norm(), 1e-9);
+  const Vec3 oblique = Vec3(0.2, 0.5, 0.9).normalized();
+  EXPECT_LT((box.nearest_normal(at_corner, oblique, 1e-6) - oblique).norm(), 1e-9);
+  // Outside the cone: the nearest of its sides.
+  EXPECT_LT((box.nearest_normal(at_edge, Vec3(0.5, 0.5, 5).normalized(), 1e-6) - Vec3(1, 1, 0).normalized()).norm(),
+            1e-9);
+  EXPECT_EQ(box.nearest_normal(Vec3(1, 1, 1), between, 1e-6), Vec3(Vec3::Zero()));
+}
 
 TEST(LaplacianWeights, are_exact_for_quadratics_without_cross_terms_on_unequal_steps) {
   const std::array<Vec3, 6> offsets = {Vec3(-0.7, 0, 0), Vec3(1.1, 0, 0), Vec3(0, -0.9, 0),
@@ -251,6 +323,28 @@ TEST(HexahedraOptimization, measures_a_box_and_sees_a_folded_cell) {
   EXPECT_NEAR(scaled_jacobian(points, cell), 1, 1e-12);
   points.row(7) << 0.2, 0.2, 0.2;
   EXPECT_LT(least_jacobian(points, cell), 0);
+}
+
+// The bound that spares the Gauss points never claims more than they give.
+TEST(HexahedraOptimization, bounds_the_jacobian_from_below) {
+  RandomStream random(5, 9);
+  int spared = 0;
+  for (int trial = 0; trial < 2000; ++trial) {
+    VertexMatrix points(8, 3);
+    const double noise = 0.8 * random.next();
+    for (int k = 0; k < 8; ++k)
+      points.row(k) << (k & 1) + noise * (random.next() - 0.5), (k >> 1 & 1) + noise * (random.next() - 0.5),
+          (k >> 2) + noise * (random.next() - 0.5);
+    const LatticeHexahedron cell = {0, 1, 2, 3, 4, 5, 6, 7};
+    const double exact = least_jacobian(points, cell);
+    for (double enough : {0.0, 0.3}) {
+      const double bound = least_jacobian(points, cell, enough);
+      EXPECT_LE(bound, exact + 1e-14);
+      if (bound <= enough) EXPECT_EQ(bound, exact);
+      spared += bound != exact;
+    }
+  }
+  EXPECT_GT(spared, 500);
 }
 
 TEST(HexahedraOptimization, sees_a_cell_inverted_between_its_corners) {
