@@ -31,10 +31,10 @@ struct Case {
   double coverage;  // most, in cells
 };
 
-TriangleMesh make_sphere() { return shapes::sphere(10); }
-TriangleMesh make_torus() { return shapes::torus(10, 4); }
-TriangleMesh make_slab() { return shapes::box(40, 30, 2); }
-TriangleMesh make_cube() { return shapes::box(10, 10, 10); }
+TriangleMesh make_sphere() { return voxel_shapes::sphere(10); }
+TriangleMesh make_torus() { return voxel_shapes::torus(10, 4); }
+TriangleMesh make_slab() { return voxel_shapes::box(40, 30, 2); }
+TriangleMesh make_cube() { return voxel_shapes::box(10, 10, 10); }
 
 class PolygridOfShape : public testing::TestWithParam<Case> {
  protected:
@@ -206,9 +206,9 @@ TEST_P(PolygridOfShape, does_not_depend_on_the_unit) {
 
 INSTANTIATE_TEST_SUITE_P(Shapes, PolygridOfShape,
                          testing::Values(Case{"sphere", make_sphere, 0, 0.5}, Case{"torus", make_torus, 1, 0.5},
-                                         Case{"double_torus", shapes::double_torus, 2, 1.5},
+                                         Case{"double_torus", voxel_shapes::double_torus, 2, 1.5},
                                          Case{"slab", make_slab, 0, 2}, Case{"cube", make_cube, 0, 1},
-                                         Case{"branching", shapes::branching, 0, 1.5}),
+                                         Case{"branching", voxel_shapes::branching, 0, 1.5}),
                          [](const auto& info) { return info.param.name; });
 
 // Polycubes that are not of the surface at all: no fit is to be had, and the grid must be valid all the same.
@@ -216,10 +216,10 @@ TEST(Polygrid, is_valid_whatever_the_polycube) {
   struct Mismatch {
     TriangleMesh surface, other;
   };
-  const Mismatch cases[] = {{shapes::torus(10, 4), shapes::sphere(13)},
-                            {shapes::sphere(10), shapes::double_torus()},
-                            {shapes::branching(), shapes::torus(10, 3)},
-                            {shapes::box(20, 20, 0.5), shapes::branching()}};
+  const Mismatch cases[] = {{voxel_shapes::torus(10, 4), voxel_shapes::sphere(13)},
+                            {voxel_shapes::sphere(10), voxel_shapes::double_torus()},
+                            {voxel_shapes::branching(), voxel_shapes::torus(10, 3)},
+                            {voxel_shapes::box(20, 20, 0.5), voxel_shapes::branching()}};
   for (const Mismatch& mismatch : cases) {
     PolycubeOptions options;
     options.nodes = 1500;
@@ -249,7 +249,7 @@ TEST(Polygrid, lays_a_valid_layer_on_any_lattice) {
         for (int i = 0; i < 5; ++i)
           if (random.next() < 0.6) blocks.push_back({i, j, k});
     blocks = fill_to_visible(blocks);
-    TriangleMesh surface = shapes::sphere(2.5);
+    TriangleMesh surface = voxel_shapes::sphere(2.5);
     surface.vertices.rowwise() += Vec3::Constant(2.5).transpose();
     const LayeredGrid grid = layer_on_lattice(blocks, 1 + trial % 2, TargetSurface(surface), 1 + trial % 2, 0.1);
     EXPECT_TRUE(inverted_cells(grid).empty()) << trial;
@@ -257,7 +257,7 @@ TEST(Polygrid, lays_a_valid_layer_on_any_lattice) {
 }
 
 TEST(TargetSurface, takes_every_direction_between_the_faces_of_an_edge_for_a_normal) {
-  const TargetSurface box(shapes::box(2, 2, 2));
+  const TargetSurface box(voxel_shapes::box(2, 2, 2));
   const Vec3 at_edge(2, 2, 1), at_face(2, 1.2, 1), at_corner(2, 2, 2);
   const Vec3 between = Vec3(1, 0.3, 0).normalized();
   EXPECT_LT((box.nearest_normal(at_edge, between, 1e-6) - between).norm(), 1e-9);
@@ -387,7 +387,7 @@ TEST(BlockGrid, counts_the_euler_characteristic_of_simple_bodies) {
 }
 
 TEST(Tetrahedralize, fills_a_closed_surface_and_returns_its_boundary) {
-  const TriangleMesh surface = shapes::torus(10, 4);
+  const TriangleMesh surface = voxel_shapes::torus(10, 4);
   const TetrahedralizeResult result = tetrahedralize(surface, {});
   EXPECT_FALSE(result.simplified);
   const TriangleMesh boundary = boundary_of(result.mesh);
@@ -397,7 +397,7 @@ TEST(Tetrahedralize, fills_a_closed_surface_and_returns_its_boundary) {
 }
 
 TEST(Tetrahedralize, simplifies_a_heavy_surface_without_changing_its_genus) {
-  const TriangleMesh surface = shapes::torus(10, 4, 120, 60);
+  const TriangleMesh surface = voxel_shapes::torus(10, 4, 120, 60);
   TetrahedralizeOptions options;
   options.proxy_faces = 3000;
   const TetrahedralizeResult result = tetrahedralize(surface, options);
@@ -409,7 +409,7 @@ TEST(Tetrahedralize, simplifies_a_heavy_surface_without_changing_its_genus) {
 }
 
 TEST(Tetrahedralize, refuses_a_surface_that_crosses_itself) {
-  const TriangleMesh a = shapes::box(2, 2, 2);
+  const TriangleMesh a = voxel_shapes::box(2, 2, 2);
   TriangleMesh both;
   both.vertices.resize(2 * a.vertices.rows(), 3);
   both.vertices << a.vertices, (a.vertices.rowwise() + Eigen::RowVector3d(1, 0.7, 0.9));
@@ -419,8 +419,8 @@ TEST(Tetrahedralize, refuses_a_surface_that_crosses_itself) {
 }
 
 TEST(VoxelPolycube, refuses_what_it_cannot_raster) {
-  EXPECT_THROW(build_voxel_polycube(shapes::box(1000, 1000, 1e-4), {}), InputError);
-  TriangleMesh inside_out = shapes::box(1, 1, 1);
+  EXPECT_THROW(build_voxel_polycube(voxel_shapes::box(1000, 1000, 1e-4), {}), InputError);
+  TriangleMesh inside_out = voxel_shapes::box(1, 1, 1);
   inside_out.faces.col(1).swap(inside_out.faces.col(2));
   EXPECT_THROW(build_voxel_polycube(inside_out, {}), InputError);
 }
