@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/core/guarded_child.h"
 
+#include <cstdlib>
+#include <exception>
+
 #ifdef __SANITIZE_ADDRESS__
 #include <sanitizer/common_interface_defs.h>
 
@@ -26,6 +29,7 @@ void report_to(const std::string& path) {
 }  // namespace
 
 void enter_guarded_child() {
+  std::set_terminate([] { std::abort(); });  // the parent's handler would speak for the child
   if (__ubsan::InitAsStandaloneIfNecessary != nullptr) __ubsan::InitAsStandaloneIfNecessary();
   const char* text = std::getenv("ASAN_OPTIONS");
   const std::string options = text != nullptr ? text : "", key = "log_path=";
@@ -42,7 +46,9 @@ ForeignCode::~ForeignCode() { report_to(log_path); }
 #else
 namespace shellgrid {
 
-void enter_guarded_child() {}
+void enter_guarded_child() {
+  std::set_terminate([] { std::abort(); });  // the parent's handler would speak for the child
+}
 ForeignCode::ForeignCode() {}
 ForeignCode::~ForeignCode() {}
 

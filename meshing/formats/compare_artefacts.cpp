@@ -118,6 +118,13 @@ void compare_grids(const std::string& name, const TwoLevelGrid<T>& a, const TwoL
 
 ArtefactComparison compare_volumes(const std::string& path_a, const std::string& path_b) {
   const VdbArchive a = read_vdb(path_a), b = read_vdb(path_b);
+  const auto kind = [](const VdbArchive& archive) {
+    const auto found = archive.metadata.find("kind");
+    return found == archive.metadata.end() ? std::string() : found->second;
+  };
+  if (!kind(a).empty() && !kind(b).empty() && kind(a) != kind(b))
+    throw InputError(
+        fmt::format("{} holds a {}, {} a {}; expected two of the same kind", path_a, kind(a), path_b, kind(b)));
   if (std::abs(a.frame.voxel - b.frame.voxel) > 1e-9 * b.frame.voxel ||
       (a.frame.origin - b.frame.origin).norm() > 1e-6 * b.frame.voxel)
     throw InputError(fmt::format("{}: its frame (voxel {} mm) differs from that of {} (voxel {} mm)", path_a,

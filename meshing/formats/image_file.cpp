@@ -15,7 +15,9 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <new>
 #include <set>
+#include <system_error>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/output_file.h"
@@ -116,6 +118,8 @@ Image read_exr(const std::string& path) {
   try {
     return parse_exr(path, bytes);
   } catch (const InputError&) {
+    throw;
+  } catch (const std::bad_alloc&) {
     throw;
   } catch (const std::exception& error) {
     throw InputError(fmt::format("{}: not a readable EXR file: {}", path, one_line(error.what())));

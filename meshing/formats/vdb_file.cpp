@@ -16,7 +16,9 @@
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
+#include <new>
 #include <sstream>
+#include <system_error>
 #include <type_traits>
 
 #include "meshing/core/error.h"
@@ -73,7 +75,7 @@ class StreamArchive : public openvdb::io::Archive {
   std::string encode(const openvdb::GridCPtrVec& grids, const openvdb::MetaMap& metadata) const {
     std::ostringstream stream(std::ios::binary);
     openvdb::io::Archive::write(stream, grids, /*seekable=*/true, metadata);
-    if (!stream) throw InternalError("OpenVDB: writing to memory failed");
+    if (!stream) throw std::bad_alloc();  // a stream into memory fails for no other reason
     return std::move(stream).str();
   }
 };
@@ -208,7 +210,16 @@ bool take(const std::string& path, const openvdb::GridBase::Ptr& grid, VdbArchiv
   return true;
 }
 
+// Blosc, which unpacks for OpenVDB, crashes where an allocation fails: what it may need must be there beforehand.
+void require_memory_for(const std::string& path) {
+  constexpr std::size_t least = std::size_t{16} << 20;
+  const std::unique_ptr<char[]> probe(new char[least + 2 * file_size(path)]);
+  volatile char* kept = probe.get();  // or the compiler may leave the allocation out
+  kept[0] = 0;
+}
+
 VdbArchive parse(const std::string& path) {
+  require_memory_for(path);
   VdbArchive archive;
   try {
     openvdb::MetaMap::Ptr metadata;
@@ -237,6 +248,10 @@ VdbArchive parse(const std::string& path) {
     }
   } catch (const InputError&) {
     throw;
+  } catch (const std::bad_alloc&) {
+    throw;
+  } catch (const std::system_error&) {
+    throw;  // no memory for a thread
   } catch (const std::exception& error) {
     throw InputError(fmt::format("{}: not a readable OpenVDB file: {}", path, one_line(error.what())));
   }

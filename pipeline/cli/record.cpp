@@ -3,9 +3,11 @@
 
 #include <sys/resource.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 
 #include "meshing/formats/output_file.h"
 
@@ -61,6 +63,24 @@ double peak_memory_mib() {
   rusage usage{};
   getrusage(RUSAGE_SELF, &usage);
   return rounded(static_cast<double>(usage.ru_maxrss) / 1024, 10);
+}
+
+double available_memory_mib() {
+  double available = std::numeric_limits<double>::infinity(), in_use = 0;
+  const auto take = [](const char* file, const std::string& key, double& value) {
+    std::ifstream lines(file);
+    for (std::string word; lines >> word;)
+      if (double kib = 0; word == key && lines >> kib) {
+        value = kib / 1024;
+        return;
+      }
+  };
+  take("/proc/meminfo", "MemAvailable:", available);
+  take("/proc/self/status", "VmSize:", in_use);
+  rlimit limit{};
+  if (getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY)
+    available = std::min(available, static_cast<double>(limit.rlim_cur) / (1 << 20) - in_use);
+  return available;
 }
 
 std::string shell_command(const std::vector<std::string>& arguments) {

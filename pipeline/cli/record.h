@@ -29,6 +29,8 @@ nlohmann::ordered_json describe_file(const std::string& path);
 
 // This process's peak resident memory.
 double peak_memory_mib();
+// What this process may still take, MiB: what the machine can spare and its limits allow.
+double available_memory_mib();
 
 // Arguments as a line that a shell reads back as the same arguments.
 std::string shell_command(const std::vector<std::string>& arguments);

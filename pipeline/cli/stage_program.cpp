@@ -11,12 +11,12 @@
 #include <cstdio>
 #include <deque>
 #include <filesystem>
-#include <new>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/output_file.h"
 #include "pipeline/cli/console_progress.h"
+#include "pipeline/cli/failure.h"
 #include "pipeline/cli/nearest_name.h"
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/record.h"
@@ -369,8 +369,14 @@ int StageProgram::Impl::execute(const std::vector<std::string>& arguments, const
   }
   const bool records = is_set(output_path) && !table.output_folder;
   if (is_set(output_path)) check_outputs(table, output_path, input_paths());
-  if (is_set(output_path))
-    clean_up_on_termination({table.output_folder ? output_path : folder_of(output_path).string()});
+  std::vector<std::string> written_folders;
+  if (is_set(output_path)) {
+    written_folders.push_back(table.output_folder ? output_path : folder_of(output_path).string());
+    for (const OutputOptionSpec& option : table.output_options)
+      written_folders.push_back(folder_of(*option.path).string());
+  }
+  end_cleanly_on_uncaught_exceptions(table.name, written_folders);
+  if (is_set(output_path)) clean_up_on_termination(written_folders);
 
   run.quiet = quiet;
   run.is_verbose = verbose;
@@ -397,13 +403,11 @@ int StageProgram::run(int argc, char** argv, const std::function<void(StageRun&)
   const std::string& name = impl.table.name;
   impl.declare_common();
   std::unique_ptr<Run> running;
-  const auto fail = [&](int code, const std::string& message) {
-    if (running) running->clear_progress();
-    std::fputs((name + ": error: " + one_line(message) + "\n").c_str(), stderr);
-    return code;
-  };
   try {
-    if (!impl.parse(argc, argv)) return std::fflush(stdout) == 0 ? 0 : fail(3, "standard output: cannot be written");
+    if (!impl.parse(argc, argv)) {
+      if (std::fflush(stdout) != 0) throw InputError("standard output: cannot be written");
+      return 0;
+    }
     using Display = ConsoleProgress::Display;
     Display display = Display::none;
     if (impl.progress == "always" || (impl.progress == "auto" && !impl.quiet && isatty(STDERR_FILENO)))
@@ -413,22 +417,11 @@ int StageProgram::run(int argc, char** argv, const std::function<void(StageRun&)
     std::vector<std::string> arguments(argv, argv + argc);
     arguments[0] = name;
     return impl.execute(arguments, body, *running);
-  } catch (const UsageError& error) {
-    return fail(2, std::string(error.what()) + " (" + name + " --help explains)");
-  } catch (const InputError& error) {
-    return fail(3, error.what());
-  } catch (const NumericalError& error) {
-    return fail(4, error.what());
-  } catch (const std::bad_alloc&) {
-    return fail(3,
-                fmt::format("out of memory, {} MiB in use; try a coarser grid (larger voxel or spacing, fewer nodes)",
-                            peak_memory_mib()));
-  } catch (const fs::filesystem_error& error) {
-    return fail(3, error.what());
-  } catch (const std::exception& error) {
-    return fail(1, std::string("internal fault: ") + error.what());
   } catch (...) {
-    return fail(1, "internal fault: unknown exception");
+    const Failure failure = describe_failure(name, std::current_exception());
+    if (running) running->clear_progress();
+    std::fputs((failure.message + "\n").c_str(), stderr);
+    return failure.code;
   }
 }
 

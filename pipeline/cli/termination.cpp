@@ -10,6 +10,16 @@
 
 namespace shellgrid {
 
+void remove_half_written_files(const std::vector<std::string>& folders) {
+  const std::string mark = ".partial-" + std::to_string(getpid()) + "-";
+  for (const std::string& folder : folders) {
+    std::error_code ignored;
+    for (const auto& entry : std::filesystem::directory_iterator(folder, ignored))
+      if (entry.path().filename().string().find(mark) != std::string::npos)
+        std::filesystem::remove(entry.path(), ignored);
+  }
+}
+
 void clean_up_on_termination(const std::vector<std::string>& folders) {
   // A signal handler may do next to nothing; a thread that waits for the signals may do anything.
   sigset_t signals;
@@ -19,13 +29,7 @@ void clean_up_on_termination(const std::vector<std::string>& folders) {
   std::thread([folders, signals] {
     int number = 0;
     if (sigwait(&signals, &number) != 0) return;
-    const std::string mark = ".partial-" + std::to_string(getpid()) + "-";
-    for (const std::string& folder : folders) {
-      std::error_code ignored;
-      for (const auto& entry : std::filesystem::directory_iterator(folder, ignored))
-        if (entry.path().filename().string().find(mark) != std::string::npos)
-          std::filesystem::remove(entry.path(), ignored);
-    }
+    remove_half_written_files(folders);
     signal(number, SIG_DFL);
     pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);
     raise(number);

@@ -9,4 +9,7 @@ namespace shellgrid {
 // process by that signal. To be called before the first thread starts.
 void clean_up_on_termination(const std::vector<std::string>& folders);
 
+// Removes this process's half-written files from `folders`.
+void remove_half_written_files(const std::vector<std::string>& folders);
+
 }  // namespace shellgrid

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
+#include "pipeline/cli/record.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/scene.h"
 #include "solvers/render/surface_render.h"
@@ -46,6 +48,18 @@ double exposure_stops(const std::string& option, const Scene& scene, const Image
   return stops;
 }
 
+// A picture that cannot fit is refused at once: the system may end a program that takes too much without a word.
+void require_memory(const std::string& scene_path, const Camera& camera) {
+  constexpr double bytes_per_pixel = 130;  // film, layers, and the encoded file
+  const double needed = bytes_per_pixel * camera.width * camera.height / (1 << 20), there = available_memory_mib();
+  if (needed > there)
+    throw InputError(
+        fmt::format("{}: camera.resolution: a picture of {} × {} pixels takes about {:.0f} MiB of memory; "
+                    "{:.0f} MiB are there; expected at most {:.3g} million pixels",
+                    scene_path, camera.width, camera.height, needed, there,
+                    std::max(0.0, there) * (1 << 20) / bytes_per_pixel / 1e6));
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -71,6 +85,7 @@ int main(int argc, char** argv) {
     run.start_timer("read");
     const Scene scene = read_scene(scene_path);
     if (!scene.camera) throw InputError(scene_path + ": no camera");
+    require_memory(scene_path, *scene.camera);
     const AttributedMesh surface = read_mesh(surface_path);
     settings.film.samples_per_pixel = samples > 0 ? samples : scene.method.samples_per_pixel;
     settings.film.seed = run.seed();

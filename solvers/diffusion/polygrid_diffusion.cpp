@@ -64,6 +64,11 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
   if (result.dark > 0.001)
     progress.warn("the reduced albedo is below 0.53 in " + percent(result.dark) + " of the object, where diffusion" +
                   (result.beams ? " is off by a sixth and more" : "'s exitance turns negative"));
+  if (coefficients.floored > 0)
+    progress.warn(
+        fmt::format("{} of the material scatters almost nothing, as the free space between bumps does; light "
+                    "crosses it freely, and the surface looks smooth over it",
+                    percent(static_cast<double>(coefficients.floored) / static_cast<double>(count))));
   if (!result.beams) return;
   double cut_off = 0;
   for (int c = 0; c < 3; ++c)
@@ -71,9 +76,6 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
       cut_off = std::max(cut_off, result.beams->cut_off_power[c] / result.beams->entering[c]);
   if (cut_off > 1e-3)
     progress.warn(percent(cut_off) + " of the beams' light was cut off on its way and left where it was");
-  if (coefficients.floored > 0)
-    progress.warn(std::to_string(coefficients.floored) + " of " + std::to_string(count) +
-                  " material samples scatter almost nothing; light crosses them freely");
 }
 
 // Says what is wrong with a solution; refuses one that is no picture of anything.

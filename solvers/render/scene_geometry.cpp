@@ -2,6 +2,8 @@
 #include "solvers/render/scene_geometry.h"
 
 #include <embree3/rtcore.h>
+#include <fmt/format.h>
+#include <new>
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -58,7 +60,12 @@ SceneGeometry::SceneGeometry(const TriangleMesh& mesh) : impl_(std::make_unique<
   parallel_for(
       64, [](std::size_t) {}, 1);
   impl_->device = rtcNewDevice(nullptr);
-  if (!impl_->device) throw InternalError("Embree gives no device");
+  if (!impl_->device) {
+    // Embree starts in any surroundings but those without memory for its threads.
+    const RTCError error = rtcGetDeviceError(nullptr);
+    if (error == RTC_ERROR_OUT_OF_MEMORY || error == RTC_ERROR_UNKNOWN) throw std::bad_alloc();
+    throw InternalError(fmt::format("Embree gives no device: error {}", static_cast<int>(error)));
+  }
   impl_->scene = rtcNewScene(impl_->device);
   rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_ROBUST);
   RTCGeometry geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);

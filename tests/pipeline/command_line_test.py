@@ -10,7 +10,7 @@ import subprocess
 import time
 import unittest
 
-from programs import BIN, icosphere, run, torus, workplace, write_off
+from programs import BIN, SLOWNESS, icosphere, run, scene, torus, workplace, write_json, write_off
 
 ODD_NAMES = ["$(shell touch x).ply", "a b.ply", "#.ply", "it's.ply", '"q".ply', "`touch x`.ply", "new\nline.ply", "ünï.ply",
              "[1].ply", "a,b.ply", "{}.ply", "%s.ply"]
@@ -115,15 +115,63 @@ class CommandLineTest(unittest.TestCase):
         os.mkdir(self.path("locked"), 0o555)
         self.assert_refused(self.prepare("ball.off", "-o", "locked/s.ply"), 3, "locked")
 
-    def test_too_little_memory_is_3_in_clear_words(self):
+    @unittest.skipIf(SLOWNESS > 1, "sanitizers take terabytes of addresses")
+    def test_too_little_memory_is_3_in_one_line_at_every_stage(self):
+        """From hardly enough to load the libraries up to enough: wherever memory runs out, the program says so."""
+        write_off(self.path("ball.off"), icosphere(4))
+        with open(self.path("sample.json"), "w") as file:
+            json.dump({"type": "spots", "size": [64, 64], "voxel": 1, "thickness": 4,
+                       "materials": {"body": {"named": "marble"}, "spot": {"named": "ketchup"}}}, file)
+        write_json(self.path("scene.json"), scene())
+        stages = [["prepare", "ball.off", "-o", "surface.ply", "--size", "20", "--spacing", "1"],
+                  ["distance", "surface.ply", "-o", "distance.vdb", "--voxel", "1"],
+                  ["sample", "sample.json", "-o", "sample.vdb"],
+                  ["textons", "sample.vdb", "-o", "textons.vdb"],
+                  ["synthesize", "surface.ply", "textons.vdb", "-o", "synthesized.ply"],
+                  ["shell", "synthesized.ply", "distance.vdb", "sample.vdb", "-o", "shell.vdb"],
+                  ["tetrahedralize", "surface.ply", "-o", "tets.hdf"],
+                  ["polycube", "tets.hdf", "-o", "polycube.hdf", "--nodes", "4000"],
+                  ["polygrid", "polycube.hdf", "surface.ply", "-o", "polygrid.hdf"],
+                  ["diffuse", "scene.json", "polygrid.hdf", "surface.ply", "shell.vdb", "-o", "fluence.hdf"],
+                  ["render", "scene.json", "exitance.ply", "-o", "image.exr"],
+                  ["compare", "shell.vdb", "shell.vdb", "-o", "difference.ply"],
+                  ["describe", "shell.vdb", "-o", "description.json"],
+                  ["plan", "scene.json", "-o", "out"]]
+        said = 0
+        for name, *arguments in stages:
+            for megabytes in [70, 100, 115, 130, 145, 160, 175, 190, 210, 230, 260, 300, 400, 0]:
+                def little():
+                    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+                    if megabytes:
+                        resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
+                done = run(name, *arguments, "-q", "--threads", "3", cwd=self.root, preexec=little)
+                if done.returncode == 0:
+                    break
+                if run(name, "--version", preexec=little).returncode != 0:
+                    continue  # the libraries do not load, or some thread that they start before main
+                with self.subTest(stage=name, megabytes=megabytes):
+                    errors = [line for line in done.stderr.splitlines() if "warning:" not in line]
+                    self.assertEqual((done.returncode, len(errors)), (3, 1), done.stderr)
+                    self.assertTrue(errors[0].startswith("sg-%s: error: " % name), errors)
+                    said += "memory" in errors[0]
+                    output = arguments[arguments.index("-o") + 1]
+                    self.assertFalse(os.path.exists(self.path(output + ".json")))
+                    self.assertEqual([left for left in os.listdir(self.root) if "partial" in left], [])
+            self.assertEqual(done.returncode, 0, (name, done.stderr))
+        self.assertGreater(said, 10)
+
+    @unittest.skipIf(SLOWNESS > 1, "sanitizers take terabytes of addresses")
+    def test_a_picture_too_large_for_the_memory_is_refused_at_once(self):
+        content = scene(material={"opaque": {}})
+        content["camera"]["resolution"] = [16384, 16384]
+        write_json(self.path("scene.json"), content)
+
         def little():
-            resource.setrlimit(resource.RLIMIT_AS, (120 << 20, 120 << 20))
-        write_off(self.path("fine.off"), torus(around=600, across=600))
-        done = self.prepare("fine.off", "-o", "s.ply", "--size", "80", "--spacing", "0.3", preexec=little)
-        if done.returncode == 127:
-            self.skipTest("the libraries do not load in so little memory")
-        self.assertIn(done.returncode, (1, 3), done.stderr)
-        self.assertFalse(os.path.exists(self.path("s.ply")))
+            resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+        done = run("render", "scene.json", "ball.off", "-o", "image.exr", cwd=self.root, preexec=little)
+        self.assertEqual((done.returncode, done.stderr.count("\n")), (3, 1), done.stderr)
+        self.assertIn("camera.resolution: a picture of 16384 × 16384 pixels", done.stderr)
+        self.assertFalse(os.path.exists(self.path("image.exr")))
 
     def test_odd_names_are_names(self):
         for name in ODD_NAMES:

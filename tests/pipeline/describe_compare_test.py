@@ -112,6 +112,17 @@ class DescribeAndCompare(unittest.TestCase):
         done = programs.run("compare", self.path("a.off"), self.path("b.off"), "--measure", "maximum", "--fail-above", 0.5)
         self.assertEqual(done.returncode, 4)
 
+    def test_volumes_of_two_kinds_are_not_compared(self):
+        with open(self.path("s.json"), "w") as file:
+            json.dump({"type": "spots", "size": [16, 16], "materials": {
+                "body": {"named": "marble"}, "spot": {"named": "marble"}}}, file)
+        for arguments in (["sample", "s.json", "-o", "s.vdb"], ["textons", "s.vdb", "-o", "t.vdb"]):
+            done = programs.run(*arguments, cwd=self.folder)
+            self.assertEqual(done.returncode, 0, done.stderr)
+        done = programs.run("compare", "s.vdb", "t.vdb", cwd=self.folder)
+        self.assertEqual((done.returncode, done.stderr.count("\n")), (3, 1), done.stderr)
+        self.assertIn("expected two of the same kind", done.stderr)
+
     def test_bad_input(self):
         open(self.path("empty.vdb"), "w").close()
         programs.write_off(self.path("a.off"), programs.box())

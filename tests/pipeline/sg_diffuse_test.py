@@ -53,6 +53,22 @@ class Diffuse(unittest.TestCase):
         programs.write_json(type(self).at(name), programs.scene(**changes))
         return name
 
+    def test_free_space_between_bumps_is_told(self):
+        wax = {"absorption": 0.05, "scattering": 1.5}
+        programs.write_json(type(self).at("bumps.json"), {
+            "type": "bumps", "size": [32, 32], "voxel": 0.7, "thickness": 4.2, "radius": 1.2, "lift": 0.5, "count": 12,
+            "materials": {"body": wax, "bump": wax}})
+        for arguments in (["distance", "surface.ply", "-o", "d.vdb", "--voxel", "0.7", "--inside", "6"],
+                          ["sample", "bumps.json", "-o", "s.vdb"], ["textons", "s.vdb", "-o", "t.vdb"],
+                          ["synthesize", "surface.ply", "t.vdb", "-o", "y.ply"],
+                          ["shell", "y.ply", "d.vdb", "s.vdb", "-o", "shell.vdb", "--thickness", "4.2"]):
+            done = programs.run(*arguments, cwd=self.place.name)
+            self.assertEqual(done.returncode, 0, done.stderr)
+        done = programs.run("diffuse", "scene.json", "polygrid.hdf", "surface.ply", "shell.vdb", "-o", "bumps.hdf",
+                            "--exitance", "bumps.ply", cwd=self.place.name)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertRegex(done.stderr, r"\d+ % of the material scatters almost nothing, as the free space between bumps")
+
     def test_energy_adds_up_and_files_say_the_same(self):
         done = self.diffuse("good")
         self.assertEqual(done.returncode, 0, done.stderr)

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "pipeline/cli/failure.h"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdlib>
+#include <filesystem>
+#include <memory>
+#include <new>
+#include <system_error>
+
+#include "meshing/core/error.h"
+#include "pipeline/cli/nearest_name.h"
+#include "pipeline/cli/option_table.h"
+#include "pipeline/cli/record.h"
+#include "pipeline/cli/termination.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr const char* out_of_memory = "out of memory; try a coarser grid (larger voxel or spacing, fewer nodes)";
+
+// Threads need memory, too: where there is none left, they cannot start.
+bool is_shortage(const std::system_error& error) {
+  return error.code() == std::errc::resource_unavailable_try_again || error.code() == std::errc::not_enough_memory;
+}
+
+bool is_shortage(const std::exception_ptr& error) {
+  try {
+    std::rethrow_exception(error);
+  } catch (const std::bad_alloc&) {
+    return true;
+  } catch (const std::system_error& system) {
+    return is_shortage(system);
+  } catch (const std::exception& other) {
+    // TBB throws its own kind where a thread cannot start.
+    return std::string_view(other.what()).find("Resource temporarily unavailable") != std::string_view::npos;
+  } catch (...) {
+    return false;
+  }
+}
+
+// What the handler of uncaught exceptions needs, made while there is memory.
+struct LastWords {
+  std::string program, shortage_line;
+  std::vector<std::string> folders;
+  std::unique_ptr<char[]> reserve;
+};
+LastWords* last_words = nullptr;
+
+void say(const std::string& line) {
+  if (::write(STDERR_FILENO, line.data(), line.size()) < 0) return;
+}
+
+[[noreturn]] void end_program() {
+  static std::atomic_flag ending = ATOMIC_FLAG_INIT;
+  if (ending.test_and_set())
+    for (;;) ::pause();  // another thread already ends the program
+  const std::exception_ptr error = std::current_exception();
+  int code = 1;
+  if (error && is_shortage(error)) {
+    code = 3;
+    say(last_words->shortage_line);
+  }
+  last_words->reserve.reset();
+  try {
+    if (code != 3) {
+      const Failure failure = error ? describe_failure(last_words->program, error)
+                                    : Failure{1, last_words->program + ": error: internal fault: no way to go on"};
+      code = failure.code;
+      say(failure.message + "\n");
+    }
+    remove_half_written_files(last_words->folders);
+  } catch (...) {
+    // The next run removes them.
+  }
+  ::_exit(code);
+}
+
+}  // namespace
+
+Failure describe_failure(const std::string& program, const std::exception_ptr& error) {
+  const auto failure = [&](int code, const std::string& message) {
+    return Failure{code, program + ": error: " + one_line(message)};
+  };
+  if (is_shortage(error))
+    return failure(3, fmt::format("out of memory, {} MiB in use; try a coarser grid (larger voxel or spacing, fewer "
+                                  "nodes)",
+                                  peak_memory_mib()));
+  try {
+    std::rethrow_exception(error);
+  } catch (const UsageError& usage) {
+    return failure(2, std::string(usage.what()) + " (" + program + " --help explains)");
+  } catch (const InputError& input) {
+    return failure(3, input.what());
+  } catch (const NumericalError& numerical) {
+    return failure(4, numerical.what());
+  } catch (const std::filesystem::filesystem_error& file) {
+    return failure(3, file.what());
+  } catch (const std::exception& other) {
+    return failure(1, std::string("internal fault: ") + other.what());
+  } catch (...) {
+    return failure(1, "internal fault: unknown exception");
+  }
+}
+
+void end_cleanly_on_uncaught_exceptions(const std::string& program, const std::vector<std::string>& folders) {
+  constexpr std::size_t reserve_bytes = std::size_t{4} << 20;
+  // Never given back: threads may fail while the program already ends.
+  static LastWords words;
+  words = {program, program + ": error: " + out_of_memory + "\n", folders, std::make_unique<char[]>(reserve_bytes)};
+  last_words = &words;
+  std::set_terminate(end_program);
+}
+
+}  // namespace shellgrid
