@@ -30,6 +30,7 @@ struct DistanceOptions {
 struct DistanceStatistics {
   std::int64_t active_samples = 0;
   std::int64_t visited_samples = 0;   // whose nearest point was looked for
+  std::int64_t compared_pairs = 0;    // of a sample and a face, edge or vertex
   std::int64_t possible_samples = 0;  // in the leaves that cover the object and its outside band
   std::int64_t allocated_leaves = 0;
   std::int64_t possible_leaves = 0;

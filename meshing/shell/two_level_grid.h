@@ -46,11 +46,11 @@ class TwoLevelGrid {
   // Index of the leaf with these leaf coordinates, or -1 where none is allocated.
   int find_leaf(const Vec3i& leaf) const {
     const Vec3i local = leaf - lower_leaf_;
-    if (static_cast<unsigned>(local.x()) >= static_cast<unsigned>(leaf_counts_.x()) ||
-        static_cast<unsigned>(local.y()) >= static_cast<unsigned>(leaf_counts_.y()) ||
-        static_cast<unsigned>(local.z()) >= static_cast<unsigned>(leaf_counts_.z()))
-      return null_leaf;
-    return top_[top_index(local)];
+    // One branch, which is seldom taken.
+    const bool within = (static_cast<unsigned>(local.x()) < static_cast<unsigned>(leaf_counts_.x())) &
+                        (static_cast<unsigned>(local.y()) < static_cast<unsigned>(leaf_counts_.y())) &
+                        (static_cast<unsigned>(local.z()) < static_cast<unsigned>(leaf_counts_.z()));
+    return within ? top_[top_index(local)] : null_leaf;
   }
 
   // The leaf's index; allocates it, filled with inactive background, where it is missing. The leaf
@@ -64,6 +64,14 @@ class TwoLevelGrid {
       values_.resize(values_.size() + leaf_size, background_);
     }
     return entry;
+  }
+
+  // Allocates leaves, none of which may be there yet, in their order.
+  void allocate_leaves(const std::vector<Vec3i>& leaves) {
+    values_.reserve(values_.size() + leaves.size() * leaf_size);
+    masks_.reserve(masks_.size() + leaves.size());
+    leaf_coordinates_.reserve(leaf_coordinates_.size() + leaves.size());
+    for (const Vec3i& leaf : leaves) allocate_leaf(leaf);
   }
 
   Vec3i leaf_coordinate(int leaf_index) const { return leaf_coordinates_[leaf_index]; }
@@ -96,20 +104,46 @@ class TwoLevelGrid {
 
   // The eight samples around a point, given by its continuous index, weighted trilinearly.
   T interpolate(const Vec3f& index) const {
-    const Vec3f lower = index.array().floor();
-    const Vec3f t = index - lower;
-    const Vec3i at = lower.cast<int>();
-    const Vec3i in_leaf = at.unaryExpr([](int n) { return n & (leaf_edge - 1); });
-    if (std::max({in_leaf.x(), in_leaf.y(), in_leaf.z()}) < leaf_edge - 1) {
-      const int leaf = find_leaf(leaf_of(at.x(), at.y(), at.z()));
-      if (leaf < 0) return background_;
-      const T* const v = leaf_values(leaf) + offset_of(at.x(), at.y(), at.z());
-      return weigh(t, v[0], v[1], v[8], v[9], v[64], v[65], v[72], v[73]);
-    }
-    const int i = at.x(), j = at.y(), k = at.z();
-    return weigh(t, value(i, j, k), value(i, j, k + 1), value(i, j + 1, k), value(i, j + 1, k + 1), value(i + 1, j, k),
-                 value(i + 1, j, k + 1), value(i + 1, j + 1, k), value(i + 1, j + 1, k + 1));
+    const CellAround cell(index);
+    if (!cell.in_one_leaf) return interpolate_across_leaves(cell);
+    const int leaf = find_leaf(leaf_of(cell.at.x(), cell.at.y(), cell.at.z()));
+    return leaf < 0 ? background_ : interpolate_in_leaf(leaf_values(leaf), cell);
   }
+
+  // Reads with a memory of the leaf read last: quicker where look-ups follow one another in space. Must not outlive
+  // the grid or see it change; each thread needs one of its own.
+  class Accessor {
+   public:
+    explicit Accessor(const TwoLevelGrid& grid) : grid_(grid) { move_to(0, 0, 0); }
+
+    const T& value(int i, int j, int k) {
+      if (!is_here(i, j, k)) move_to(i, j, k);
+      return samples_[offset_of(i, j, k) & mask_];
+    }
+
+    T interpolate(const Vec3f& index) {
+      const CellAround cell(index);
+      if (!cell.in_one_leaf) return grid_.interpolate_across_leaves(cell);
+      if (!is_here(cell.at.x(), cell.at.y(), cell.at.z())) move_to(cell.at.x(), cell.at.y(), cell.at.z());
+      return mask_ == 0 ? grid_.background_ : interpolate_in_leaf(samples_, cell);
+    }
+
+   private:
+    bool is_here(int i, int j, int k) const {
+      return static_cast<unsigned>((i ^ i_) | (j ^ j_) | (k ^ k_)) < leaf_edge;
+    }
+    void move_to(int i, int j, int k) {
+      i_ = i & -leaf_edge, j_ = j & -leaf_edge, k_ = k & -leaf_edge;
+      const int leaf = grid_.find_leaf(leaf_of(i, j, k));
+      samples_ = leaf < 0 ? &grid_.background_ : grid_.leaf_values(leaf);
+      mask_ = leaf < 0 ? 0 : leaf_size - 1;
+    }
+
+    const TwoLevelGrid& grid_;
+    int i_ = 0, j_ = 0, k_ = 0;  // the leaf's first sample
+    const T* samples_ = nullptr;
+    int mask_ = 0;  // 0 where there is no leaf: every offset then means the background
+  };
 
   bool is_active(int i, int j, int k) const {
     const int leaf_index = find_leaf(leaf_of(i, j, k));
@@ -143,12 +177,49 @@ class TwoLevelGrid {
  private:
   static constexpr std::int32_t null_leaf = -1;
 
+  // The cell of eight samples around a point and the point's place in it.
+  struct CellAround {
+    Vec3i at;
+    Vec3f t;
+    bool in_one_leaf;
+    explicit CellAround(const Vec3f& index) {
+      const Vec3f lower = index.array().floor();
+      at = lower.cast<int>();
+      t = index - lower;
+      const Vec3i next = at + Vec3i::Ones();
+      in_one_leaf = ((next.x() & 7) != 0) & ((next.y() & 7) != 0) & ((next.z() & 7) != 0);
+    }
+  };
+
   // Samples in the order of offsets: z fastest.
   static T weigh(const Vec3f& t, const T& v0, const T& v1, const T& v2, const T& v3, const T& v4, const T& v5,
                  const T& v6, const T& v7) {
     const auto between = [](float s, const T& a, const T& b) -> T { return a + s * (b - a); };
     return between(t.x(), between(t.y(), between(t.z(), v0, v1), between(t.z(), v2, v3)),
                    between(t.y(), between(t.z(), v4, v5), between(t.z(), v6, v7)));
+  }
+
+  static T interpolate_in_leaf(const T* samples, const CellAround& cell) {
+    const T* const v = samples + offset_of(cell.at.x(), cell.at.y(), cell.at.z());
+    return weigh(cell.t, v[0], v[1], v[8], v[9], v[64], v[65], v[72], v[73]);
+  }
+
+  T interpolate_across_leaves(const CellAround& cell) const {
+    const int i = cell.at.x(), j = cell.at.y(), k = cell.at.z();
+    const Vec3i lower = leaf_of(i, j, k) - lower_leaf_, upper = leaf_of(i + 1, j + 1, k + 1) - lower_leaf_;
+    if ((lower.array() < 0).any() || (upper.array() >= leaf_counts_.array()).any())
+      return weigh(cell.t, value(i, j, k), value(i, j, k + 1), value(i, j + 1, k), value(i, j + 1, k + 1),
+                   value(i + 1, j, k), value(i + 1, j, k + 1), value(i + 1, j + 1, k), value(i + 1, j + 1, k + 1));
+    const std::size_t first = top_index(lower);
+    const std::size_t x_leaf = upper.x() == lower.x() ? 0 : top_index({1, 0, 0});
+    const std::size_t y_leaf = upper.y() == lower.y() ? 0 : top_index({0, 1, 0});
+    const std::size_t z_leaf = upper.z() == lower.z() ? 0 : 1;
+    const auto sample = [&](int x, int y, int z) -> const T& {
+      const std::int32_t leaf = top_[first + (x ? x_leaf : 0) + (y ? y_leaf : 0) + (z ? z_leaf : 0)];
+      return leaf < 0 ? background_ : leaf_values(leaf)[offset_of(i + x, j + y, k + z)];
+    };
+    return weigh(cell.t, sample(0, 0, 0), sample(0, 0, 1), sample(0, 1, 0), sample(0, 1, 1), sample(1, 0, 0),
+                 sample(1, 0, 1), sample(1, 1, 0), sample(1, 1, 1));
   }
 
   std::size_t top_index(const Vec3i& local) const {

@@ -55,6 +55,7 @@ int main(int argc, char** argv) {
 
     run.results() = {{"active_samples", statistics.active_samples},
                      {"visited_samples", statistics.visited_samples},
+                     {"compared_pairs", statistics.compared_pairs},
                      {"possible_samples", statistics.possible_samples},
                      {"allocated_leaves", statistics.allocated_leaves},
                      {"possible_leaves", statistics.possible_leaves},

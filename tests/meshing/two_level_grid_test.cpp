@@ -57,5 +57,31 @@ TEST(TwoLevelGrid, InterpolatesWithTheBackgroundWhereNothingIsAllocated) {
   EXPECT_EQ(grid.interpolate({1000, -1000, 0.5f}), 4.0f);
 }
 
+TEST(TwoLevelGrid, AccessorReadsWhatTheGridHolds) {
+  TwoLevelGrid<float> grid(Vec3i(-2, -1, -2), Vec3i(4, 3, 4), 4.0f);
+  for (int n = 0; n < 300; ++n)
+    grid.set(n * 7 % 30 - 15, n * 11 % 22 - 7, n * 13 % 10 - 15, static_cast<float>(n % 64));
+  TwoLevelGrid<float>::Accessor accessor(grid);
+  // Steps within leaves, between leaves, to where there is none, and out of the grid's bounds.
+  for (int i = -20; i < 20; ++i)
+    for (int j = -12; j < 20; j += 3)
+      for (int k = -20; k < 20; ++k) {
+        ASSERT_EQ(accessor.value(i, j, k), grid.value(i, j, k)) << i << ' ' << j << ' ' << k;
+        const Vec3f place = Vec3f(i, j, k) + Vec3f(0.25f, 0.5f, 0.125f);
+        ASSERT_EQ(accessor.interpolate(place), grid.interpolate(place));
+      }
+}
+
+TEST(TwoLevelGrid, NeedsLittleMoreThanItsLeaves) {
+  TwoLevelGrid<float> grid(Vec3i(0, 0, 0), Vec3i(20, 20, 20), 0.0f);
+  std::vector<Vec3i> leaves;
+  for (int n = 0; n < 20; ++n)
+    for (int m = 0; m < 20; ++m) leaves.emplace_back(n, m, (n + m) / 2);
+  grid.allocate_leaves(leaves);
+  ASSERT_EQ(grid.leaf_count(), 400);
+  for (int n = 0; n < 400; ++n) EXPECT_EQ(grid.find_leaf(leaves[n]), n);
+  EXPECT_LE(static_cast<double>(grid.bytes()), 1.1 * 400 * 512 * sizeof(float));
+}
+
 }  // namespace
 }  // namespace shellgrid

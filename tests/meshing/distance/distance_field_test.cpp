@@ -9,6 +9,7 @@
 #include <cstring>
 
 #include "meshing/core/error.h"
+#include "meshing/core/random.h"
 #include "tests/support/closed_shapes.h"
 
 namespace shellgrid {
@@ -125,6 +126,34 @@ TEST(DistanceField, OfAShellWithACavityIsNegativeInTheSolidOnly) {
 TEST(DistanceField, WithoutNeedOfEvenTrianglesFindsTheNearestVertexOfAll) {
   // Long needles: the nearest vertex is often none of the nearest face's corners.
   expect_equals_brute_force(shapes::rotated(shapes::torus(1.5, 0.6, 60, 4), 8), wide);
+}
+
+TEST(DistanceField, OfARoughBallWithWideBandsIsExact) {
+  // Vertices of every kind: peaks, pits and saddles, seen from much farther than their distances.
+  TriangleMesh mesh = shapes::sphere(1.5, 3);
+  for (int v = 0; v < mesh.vertex_count(); ++v) mesh.vertices.row(v) *= 1 + 0.12 * (to_unit(hash64(3, 5, v)) - 0.5);
+  expect_equals_brute_force(mesh, {.voxel = 0.15, .inside_band = 2, .outside_band = 1});
+}
+
+TEST(DistanceField, OfTrianglesMuchSmallerAndMuchLargerThanAVoxelIsExact) {
+  expect_equals_brute_force(shapes::sphere(1, 4), {.voxel = 0.4, .inside_band = 1, .outside_band = 2});
+  // Spans several blocks of the scan.
+  expect_equals_brute_force(shapes::rotated(shapes::box({5, 4, 6}), 9),
+                            {.voxel = 0.1, .inside_band = 0.3, .outside_band = 0.4});
+}
+
+TEST(DistanceField, OfAMeshWithAFlatTriangleIsExact) {
+  // A point on an edge of the box belongs to the faces on one side only; a triangle without area fills the crack.
+  TriangleMesh mesh = shapes::rotated(shapes::box({4, 3, 2}), 2);
+  const int a = mesh.faces(0, 0), b = mesh.faces(0, 1), c = mesh.faces(0, 2), middle = mesh.vertex_count();
+  mesh.vertices.conservativeResize(middle + 1, 3);
+  mesh.vertices.row(middle) = 0.5 * (mesh.vertices.row(a) + mesh.vertices.row(b));
+  const int faces = mesh.face_count();
+  mesh.faces.conservativeResize(faces + 2, 3);
+  mesh.faces.row(0) << a, middle, c;
+  mesh.faces.row(faces) << middle, b, c;
+  mesh.faces.row(faces + 1) << a, b, middle;
+  expect_equals_brute_force(mesh, wide);
 }
 
 TEST(DistanceField, IsTheSameOnOneAndTwoThreads) {
