@@ -46,11 +46,7 @@ class TwoLevelGrid {
   // Index of the leaf with these leaf coordinates, or -1 where none is allocated.
   int find_leaf(const Vec3i& leaf) const {
     const Vec3i local = leaf - lower_leaf_;
-    // One branch, which is seldom taken.
-    const bool within = (static_cast<unsigned>(local.x()) < static_cast<unsigned>(leaf_counts_.x())) &
-                        (static_cast<unsigned>(local.y()) < static_cast<unsigned>(leaf_counts_.y())) &
-                        (static_cast<unsigned>(local.z()) < static_cast<unsigned>(leaf_counts_.z()));
-    return within ? top_[top_index(local)] : null_leaf;
+    return within(local.x(), local.y(), local.z()) ? top_[top_index(local)] : null_leaf;
   }
 
   // The leaf's index; allocates it, filled with inactive background, where it is missing. The leaf
@@ -75,10 +71,8 @@ class TwoLevelGrid {
   }
 
   Vec3i leaf_coordinate(int leaf_index) const { return leaf_coordinates_[leaf_index]; }
-  T* leaf_values(int leaf_index) { return values_.data() + static_cast<std::size_t>(leaf_index) * leaf_size; }
-  const T* leaf_values(int leaf_index) const {
-    return values_.data() + static_cast<std::size_t>(leaf_index) * leaf_size;
-  }
+  T* leaf_values(int leaf_index) { return values_.data() + (std::ptrdiff_t{leaf_index} + 1) * leaf_size; }
+  const T* leaf_values(int leaf_index) const { return values_.data() + (std::ptrdiff_t{leaf_index} + 1) * leaf_size; }
   Mask& leaf_mask(int leaf_index) { return masks_[leaf_index]; }
   const Mask& leaf_mask(int leaf_index) const { return masks_[leaf_index]; }
   static bool mask_test(const Mask& mask, int offset) { return (mask[offset >> 6] >> (offset & 63)) & 1u; }
@@ -98,16 +92,16 @@ class TwoLevelGrid {
 
   // The sample, or the background.
   const T& value(int i, int j, int k) const {
-    const int leaf_index = find_leaf(leaf_of(i, j, k));
-    return leaf_index < 0 ? background_ : leaf_values(leaf_index)[offset_of(i, j, k)];
+    const int x = (i >> 3) - lower_leaf_.x(), y = (j >> 3) - lower_leaf_.y(), z = (k >> 3) - lower_leaf_.z();
+    if (!within(x, y, z)) return background_;
+    return leaf_values(top_[top_index({x, y, z})])[offset_of(i, j, k)];
   }
 
   // The eight samples around a point, given by its continuous index, weighted trilinearly.
   T interpolate(const Vec3f& index) const {
     const CellAround cell(index);
     if (!cell.in_one_leaf) return interpolate_across_leaves(cell);
-    const int leaf = find_leaf(leaf_of(cell.at.x(), cell.at.y(), cell.at.z()));
-    return leaf < 0 ? background_ : interpolate_in_leaf(leaf_values(leaf), cell);
+    return interpolate_in_leaf(leaf_values(find_leaf(leaf_of(cell.at.x(), cell.at.y(), cell.at.z()))), cell);
   }
 
   // Reads with a memory of the leaf read last: quicker where look-ups follow one another in space. Must not outlive
@@ -118,14 +112,14 @@ class TwoLevelGrid {
 
     const T& value(int i, int j, int k) {
       if (!is_here(i, j, k)) move_to(i, j, k);
-      return samples_[offset_of(i, j, k) & mask_];
+      return samples_[offset_of(i, j, k)];
     }
 
     T interpolate(const Vec3f& index) {
       const CellAround cell(index);
       if (!cell.in_one_leaf) return grid_.interpolate_across_leaves(cell);
       if (!is_here(cell.at.x(), cell.at.y(), cell.at.z())) move_to(cell.at.x(), cell.at.y(), cell.at.z());
-      return mask_ == 0 ? grid_.background_ : interpolate_in_leaf(samples_, cell);
+      return interpolate_in_leaf(samples_, cell);
     }
 
    private:
@@ -134,15 +128,12 @@ class TwoLevelGrid {
     }
     void move_to(int i, int j, int k) {
       i_ = i & -leaf_edge, j_ = j & -leaf_edge, k_ = k & -leaf_edge;
-      const int leaf = grid_.find_leaf(leaf_of(i, j, k));
-      samples_ = leaf < 0 ? &grid_.background_ : grid_.leaf_values(leaf);
-      mask_ = leaf < 0 ? 0 : leaf_size - 1;
+      samples_ = grid_.leaf_values(grid_.find_leaf(leaf_of(i, j, k)));
     }
 
     const TwoLevelGrid& grid_;
     int i_ = 0, j_ = 0, k_ = 0;  // the leaf's first sample
     const T* samples_ = nullptr;
-    int mask_ = 0;  // 0 where there is no leaf: every offset then means the background
   };
 
   bool is_active(int i, int j, int k) const {
@@ -215,11 +206,18 @@ class TwoLevelGrid {
     const std::size_t y_leaf = upper.y() == lower.y() ? 0 : top_index({0, 1, 0});
     const std::size_t z_leaf = upper.z() == lower.z() ? 0 : 1;
     const auto sample = [&](int x, int y, int z) -> const T& {
-      const std::int32_t leaf = top_[first + (x ? x_leaf : 0) + (y ? y_leaf : 0) + (z ? z_leaf : 0)];
-      return leaf < 0 ? background_ : leaf_values(leaf)[offset_of(i + x, j + y, k + z)];
+      return leaf_values(
+          top_[first + (x ? x_leaf : 0) + (y ? y_leaf : 0) + (z ? z_leaf : 0)])[offset_of(i + x, j + y, k + z)];
     };
     return weigh(cell.t, sample(0, 0, 0), sample(0, 0, 1), sample(0, 1, 0), sample(0, 1, 1), sample(1, 0, 0),
                  sample(1, 0, 1), sample(1, 1, 0), sample(1, 1, 1));
+  }
+
+  // Counts leaves from lower_leaf_ on. One branch for all three axes.
+  bool within(int x, int y, int z) const {
+    return (static_cast<unsigned>(x) < static_cast<unsigned>(leaf_counts_.x())) &
+           (static_cast<unsigned>(y) < static_cast<unsigned>(leaf_counts_.y())) &
+           (static_cast<unsigned>(z) < static_cast<unsigned>(leaf_counts_.z()));
   }
 
   std::size_t top_index(const Vec3i& local) const {
@@ -232,7 +230,8 @@ class TwoLevelGrid {
   std::vector<std::int32_t> top_;
   std::vector<Vec3i> leaf_coordinates_;
   std::vector<Mask> masks_;
-  std::vector<T> values_;
+  // A leaf of background comes first: what a cell without a leaf means.
+  std::vector<T> values_ = std::vector<T>(leaf_size, background_);
 };
 
 }  // namespace shellgrid

@@ -72,6 +72,15 @@ TEST(TwoLevelGrid, AccessorReadsWhatTheGridHolds) {
       }
 }
 
+TEST(TwoLevelGrid, WithoutBoundsIsBackgroundEverywhere) {
+  const TwoLevelGrid<float> grid;
+  TwoLevelGrid<float>::Accessor accessor(grid);
+  EXPECT_EQ(grid.value(0, 0, 0), 0.0f);
+  EXPECT_EQ(accessor.value(-1, 2, 100), 0.0f);
+  EXPECT_EQ(grid.interpolate({0.5f, 7.5f, 3}), 0.0f);
+  EXPECT_EQ(accessor.interpolate({0.5f, 6.5f, 3}), 0.0f);
+}
+
 TEST(TwoLevelGrid, NeedsLittleMoreThanItsLeaves) {
   TwoLevelGrid<float> grid(Vec3i(0, 0, 0), Vec3i(20, 20, 20), 0.0f);
   std::vector<Vec3i> leaves;
