@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
@@ -174,9 +175,9 @@ class TwoLevelGrid {
     Vec3f t;
     bool in_one_leaf;
     explicit CellAround(const Vec3f& index) {
-      const Vec3f lower = index.array().floor();
-      at = lower.cast<int>();
-      t = index - lower;
+      const float x = std::floor(index.x()), y = std::floor(index.y()), z = std::floor(index.z());
+      at = Vec3i(static_cast<int>(x), static_cast<int>(y), static_cast<int>(z));
+      t = Vec3f(index.x() - x, index.y() - y, index.z() - z);
       const Vec3i next = at + Vec3i::Ones();
       in_one_leaf = ((next.x() & 7) != 0) & ((next.y() & 7) != 0) & ((next.z() & 7) != 0);
     }
@@ -197,17 +198,20 @@ class TwoLevelGrid {
 
   T interpolate_across_leaves(const CellAround& cell) const {
     const int i = cell.at.x(), j = cell.at.y(), k = cell.at.z();
-    const Vec3i lower = leaf_of(i, j, k) - lower_leaf_, upper = leaf_of(i + 1, j + 1, k + 1) - lower_leaf_;
-    if ((lower.array() < 0).any() || (upper.array() >= leaf_counts_.array()).any())
+    const int x0 = (i >> 3) - lower_leaf_.x(), x1 = ((i + 1) >> 3) - lower_leaf_.x();
+    const int y0 = (j >> 3) - lower_leaf_.y(), y1 = ((j + 1) >> 3) - lower_leaf_.y();
+    const int z0 = (k >> 3) - lower_leaf_.z(), z1 = ((k + 1) >> 3) - lower_leaf_.z();
+    if (!(within(x0, y0, z0) & within(x1, y1, z1)))
       return weigh(cell.t, value(i, j, k), value(i, j, k + 1), value(i, j + 1, k), value(i, j + 1, k + 1),
                    value(i + 1, j, k), value(i + 1, j, k + 1), value(i + 1, j + 1, k), value(i + 1, j + 1, k + 1));
-    const std::size_t first = top_index(lower);
-    const std::size_t x_leaf = upper.x() == lower.x() ? 0 : top_index({1, 0, 0});
-    const std::size_t y_leaf = upper.y() == lower.y() ? 0 : top_index({0, 1, 0});
-    const std::size_t z_leaf = upper.z() == lower.z() ? 0 : 1;
-    const auto sample = [&](int x, int y, int z) -> const T& {
-      return leaf_values(
-          top_[first + (x ? x_leaf : 0) + (y ? y_leaf : 0) + (z ? z_leaf : 0)])[offset_of(i + x, j + y, k + z)];
+    const std::int32_t* const top = top_.data();
+    const T* const values = values_.data() + leaf_size;
+    const std::int32_t* const column[2][2] = {{top + top_index({x0, y0, 0}), top + top_index({x0, y1, 0})},
+                                              {top + top_index({x1, y0, 0}), top + top_index({x1, y1, 0})}};
+    const int in_x[2] = {(i & 7) << 6, ((i + 1) & 7) << 6}, in_y[2] = {(j & 7) << 3, ((j + 1) & 7) << 3};
+    const int in_z[2] = {k & 7, (k + 1) & 7}, z[2] = {z0, z1};
+    const auto sample = [&](int a, int b, int c) -> const T& {
+      return values[std::ptrdiff_t{column[a][b][z[c]]} * leaf_size + (in_x[a] + in_y[b] + in_z[c])];
     };
     return weigh(cell.t, sample(0, 0, 0), sample(0, 0, 1), sample(0, 1, 0), sample(0, 1, 1), sample(1, 0, 0),
                  sample(1, 0, 1), sample(1, 1, 0), sample(1, 1, 1));

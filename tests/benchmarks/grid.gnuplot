@@ -8,7 +8,6 @@ set style histogram clustered gap 1
 set style fill solid 0.8 border -1
 set yrange [0:]
 set ylabel "nanoseconds a look-up (median)"
-set xlabel "places and kind of look-up"
 set title "Look-ups in one distance field, bunny at L/256, one thread"
 set key top left
 plot for [grid in "two-level OpenVDB NanoVDB"] \
