@@ -7,6 +7,7 @@ set style data histograms
 set style histogram clustered gap 1
 set style fill solid 0.8 border -1
 set yrange [0:]
+set bmargin 4
 set ylabel "nanoseconds a look-up (median)"
 set title "Look-ups in one distance field, bunny at L/256, one thread"
 set key top left
