@@ -15,6 +15,8 @@
 namespace shellgrid {
 namespace {
 
+// Determinants in cells³ that count as positive.
+constexpr double safely_positive = 1e-10;
 // Relative to the target volume of a cell: what a cell keeps, and what a projected one must have from the start.
 constexpr double least_relative_jacobian = 1e-6;
 constexpr double projected_relative_jacobian = 0.02;
@@ -24,6 +26,9 @@ constexpr double poor_scaled_jacobian = 0.1;
 constexpr double surface_tolerance = 2e-3;
 // Links farther off the normal are improved: the cosine of 15°.
 constexpr double poor_link_cosine = 0.966;
+// Cells below this, and links farther off the normal than 45°, get rounds of their own.
+constexpr double worst_scaled_jacobian = 0.05;
+constexpr double worst_link_cosine = 0.7;
 // The inner points' pull to the layer's depth, relative to the outer points' pull to the surface.
 constexpr double inner_pull = 0.02;
 // How far, in cells, a face that looks the same way as the grid is preferred to a nearer one.
@@ -153,6 +158,7 @@ class LayerBuilder {
     for (int step = 0; step < steps; ++step) {
       const double part = steps > 1 ? static_cast<double>(step) / (steps - 1) : 1.0;
       attract(all, first_weight * std::pow(last_weight / first_weight, part), optimization);
+      optimization.quad_attractions = pulls(std::min(64.0, first_weight));
       VertexMatrix points = grid_.points;
       const double lowest = optimization.least_corner_jacobian(points);
       // From a valid start with ε = 0 cells that are nearly inverted would hold the others back.
@@ -170,13 +176,13 @@ class LayerBuilder {
     for (double weight : {0.25, 1.0, 4.0, 16.0, 64.0}) {
       const VertexMatrix before = grid_.points;
       optimize_all(2, 30, weight, weight);
-      if (cells_below(0).empty()) continue;
+      if (is_valid()) continue;
       put_all(before);
       break;
     }
     snap(false);
     snap(true);
-    if (!cells_below(0).empty()) put_all(valid);
+    if (!is_valid()) put_all(valid);
   }
 
   // Draws the outer points around the given cells to the surface; where they are to stay, their twins below them along
@@ -184,9 +190,18 @@ class LayerBuilder {
   void improve(const std::vector<std::int32_t>& poor, int rings, int steps, double pull, bool keep_outer) {
     for (std::int32_t c : poor)
       if (scaled_jacobian(grid_.points, cells_[c]) < poor_scaled_jacobian) weight_[c] = std::min(64.0, weight_[c] * 2);
+    const std::vector<QuadAttraction> pulled = keep_outer ? std::vector<QuadAttraction>() : pulls(16);
+    std::vector<std::int32_t> local(static_cast<std::size_t>(grid_.points.rows()), -1);
     for (const HexahedraRegion& region : regions_around(cells_, around_, poor, rings)) {
       HexahedraOptimization optimization = optimization_of(region);
       VertexMatrix points = points_of(region);
+      for (std::size_t p = 0; p < region.points.size(); ++p) local[region.points[p]] = static_cast<std::int32_t>(p);
+      for (QuadAttraction pull : pulled) {
+        bool here = true;
+        for (std::int32_t& corner : pull.corners) corner = local[corner], here = here && corner >= 0;
+        if (here) optimization.quad_attractions.push_back(pull);
+      }
+      for (std::int32_t p : region.points) local[p] = -1;
       for (int step = 0; step < steps; ++step) {
         if (keep_outer)
           hold(region, optimization);
@@ -202,23 +217,23 @@ class LayerBuilder {
         if (!caught) continue;
         put(region, before);
         points = before;
-        optimization = optimization_of(region);
+        optimization.inside = inside_of(region);
       }
     }
   }
 
   // Cells of poor shape, and those at outer points that are off the surface or whose links are off its normal.
-  std::vector<std::int32_t> cells_to_improve() const {
+  std::vector<std::int32_t> cells_to_improve(double scaled = poor_scaled_jacobian,
+                                             double link_cosine = poor_link_cosine) const {
     std::vector<std::uint8_t> poor(cells_.size());
-    parallel_for(poor.size(),
-                 [&](std::size_t c) { poor[c] = scaled_jacobian(grid_.points, cells_[c]) < poor_scaled_jacobian; });
+    parallel_for(poor.size(), [&](std::size_t c) { poor[c] = scaled_jacobian(grid_.points, cells_[c]) < scaled; });
     std::vector<std::uint8_t> off(grid_.twin.size());
     parallel_for(off.size(), [&](std::size_t outer) {
       const Vec3 place = outer_place(outer);
       const TargetSurface::Nearest nearest = surface_.nearest(place / scale_);
       const Vec3 link = place - grid_.points.row(grid_.twin[outer]).transpose();
       off[outer] =
-          nearest.distance * scale_ > surface_tolerance || link.dot(nearest.normal) < poor_link_cosine * link.norm();
+          nearest.distance * scale_ > surface_tolerance || link.dot(nearest.normal) < link_cosine * link.norm();
     });
     for (std::size_t outer = 0; outer < off.size(); ++outer) {
       if (!off[outer]) continue;
@@ -282,6 +297,8 @@ class LayerBuilder {
     std::iota(all.begin(), all.end(), 0);
     return cells_below(margin, all);
   }
+
+  bool is_valid() const { return cells_below(least_relative_jacobian).empty(); }
 
   // Of the given cells.
   std::vector<std::int32_t> cells_below(double margin, const std::vector<std::int32_t>& cells) const {
@@ -361,17 +378,15 @@ class LayerBuilder {
   HexahedraOptimization optimization_of(const HexahedraRegion& region) const {
     std::vector<Vec3i> lattice;
     std::vector<double> heights, weights;
-    std::vector<std::uint8_t> inside;
     for (std::int32_t c : region.cells) {
       const std::size_t layer = static_cast<std::size_t>(c) - grid_.core.cells.size();
       lattice.push_back(grid_.core.cell_lattice[is_layer(c) ? grid_.core.boundary_quads[layer].cell : c]);
       heights.push_back(is_layer(c) ? thickness_ : 1.0);
       weights.push_back(weight_[c]);
-      inside.push_back(inside_[c]);
     }
     HexahedraOptimization optimization(region.local, lattice, std::move(heights));
     optimization.cell_weight = std::move(weights);
-    optimization.inside = std::move(inside);
+    optimization.inside = inside_of(region);
     optimization.locked = region.locked;
     optimization.link_length = thickness_;
     optimization.twin.assign(region.points.size(), -1);
@@ -387,6 +402,12 @@ class LayerBuilder {
     return optimization;
   }
 
+  std::vector<std::uint8_t> inside_of(const HexahedraRegion& region) const {
+    std::vector<std::uint8_t> inside;
+    for (std::int32_t c : region.cells) inside.push_back(inside_[c]);
+    return inside;
+  }
+
   VertexMatrix points_of(const HexahedraRegion& region) const {
     VertexMatrix points(region.points.size(), 3);
     for (std::size_t p = 0; p < region.points.size(); ++p) points.row(p) = grid_.points.row(region.points[p]);
@@ -398,6 +419,35 @@ class LayerBuilder {
       grid_.points.row(region.points[p]) = points.row(p);
       if (region.points[p] < core_points()) grid_.core.points.row(region.points[p]) = points.row(p);
     }
+  }
+
+  // Parts of the object that no outer quadrilateral is near draw the nearest one to themselves.
+  std::vector<QuadAttraction> pulls(double weight) const {
+    TriangleMesh outer;
+    outer.vertices = grid_.points;
+    outer.faces.resize(2 * static_cast<Eigen::Index>(grid_.layer.size()), 3);
+    for (std::size_t q = 0; q < grid_.layer.size(); ++q) {
+      const LatticeHexahedron& c = grid_.layer[q];
+      outer.faces.row(2 * q) << c[4], c[5], c[7];
+      outer.faces.row(2 * q + 1) << c[4], c[7], c[6];
+    }
+    const TargetSurface boundary(outer);
+    const std::vector<TargetSurface::Sample> samples = surface_.samples(static_cast<int>(1.5 * grid_.twin.size()));
+    std::vector<QuadAttraction> each(samples.size());
+    parallel_for(samples.size(), [&](std::size_t i) {
+      const Vec3 place = samples[i].point * scale_;
+      const TargetSurface::Nearest nearest = boundary.nearest_facing(place, samples[i].face_normal);
+      if (nearest.distance <= 0.25 || nearest.face < 0) return;
+      for (int k = 0; k < 3; ++k) {
+        each[i].corners[k] = boundary.mesh().faces(nearest.face, k);
+        each[i].beta[k] = nearest.barycentric[k];
+      }
+      each[i].corners[3] = each[i].corners[0];
+      each[i].target = place;
+      each[i].weight = weight;
+    });
+    std::erase_if(each, [](const QuadAttraction& p) { return !(p.weight > 0); });
+    return each;
   }
 
   // Locks the outer points and draws their twins below them.
@@ -470,7 +520,9 @@ std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid) {
   std::vector<std::uint8_t> inverted(grid.core.cells.size() + grid.layer.size());
   parallel_for(inverted.size(), [&](std::size_t c) {
     const std::size_t core = grid.core.cells.size();
-    inverted[c] = !(least_jacobian(grid.points, c < core ? grid.core.cells[c] : grid.layer[c - core], 0) > 0);
+    // With a margin for rounding where the points are put into millimetres.
+    inverted[c] = !(least_jacobian(grid.points, c < core ? grid.core.cells[c] : grid.layer[c - core], safely_positive) >
+                    safely_positive);
   });
   std::vector<std::int32_t> result;
   for (std::size_t c = 0; c < inverted.size(); ++c)
@@ -484,7 +536,7 @@ LayeredGrid layer_on_lattice(const std::vector<Vec3i>& blocks, int refinement, c
   LayerBuilder builder(grid, surface, scale, thickness);
   builder.set_by_visible_normals();
   builder.untangle();
-  if (builder.cells_below(0).empty()) builder.approach();
+  if (builder.is_valid()) builder.approach();
   return grid;
 }
 
@@ -498,13 +550,23 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
   builder.untangle();
   builder.optimize_all(2, 25, 16, 64);
   builder.untangle();
-  constexpr int rounds = 4;
-  for (int round = 0; round < rounds && builder.cells_below(0).empty(); ++round) {
+  constexpr int rounds = 3, last_rounds = 3;
+  for (int round = 0; round < rounds && builder.is_valid(); ++round) {
     const std::vector<std::int32_t> poor = builder.cells_to_improve();
     if (poor.empty()) break;
     builder.snap(false);
     builder.improve(builder.cells_to_improve(), 3, 2, 64 * std::pow(3.0, round), false);
-    builder.snap(round + 1 == rounds);
+    builder.snap(false);
+    builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
+  }
+  // What is still off the surface, nearly inverted or linked askew, in wider neighbourhoods.
+  std::size_t left = std::numeric_limits<std::size_t>::max();
+  for (int round = 0; round < last_rounds && builder.is_valid(); ++round) {
+    const std::vector<std::int32_t> worst = builder.cells_to_improve(worst_scaled_jacobian, worst_link_cosine);
+    if (worst.empty() || 5 * worst.size() > 4 * left) break;
+    left = worst.size();
+    builder.improve(worst, 4, 3, 256 * std::pow(2.0, round), false);
+    builder.snap(true);
     builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
   }
   builder.snap(false);

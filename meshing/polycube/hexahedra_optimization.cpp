@@ -2,6 +2,7 @@
 #include "meshing/polycube/hexahedra_optimization.h"
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <deque>
@@ -80,6 +81,20 @@ Mat3 jacobian_at(const VertexMatrix& points, const LatticeHexahedron& cell, doub
   return jacobian;
 }
 
+constexpr double two_point_gauss[2] = {0.21132486540518713, 0.7886751345948129};
+
+// A lower bound of the determinant all over the cell: it is a polynomial of degree two in each coordinate, never below
+// its least Bernstein coefficient.
+double least_bernstein_coefficient(const VertexMatrix& points, const LatticeHexahedron& cell) {
+  double value[27];
+  for (int n = 0; n < 27; ++n)
+    value[n] = jacobian_at(points, cell, 0.5 * (n % 3), 0.5 * (n / 3 % 3), 0.5 * (n / 9)).determinant();
+  for (int stride : {1, 3, 9})
+    for (int n = 0; n < 27; ++n)
+      if (n / stride % 3 == 1) value[n] = 2 * value[n] - 0.5 * (value[n - stride] + value[n + stride]);
+  return *std::min_element(value, value + 27);
+}
+
 Mat3 corner_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell, int k) {
   Mat3 jacobian;
   for (int axis = 0; axis < 3; ++axis)
@@ -102,6 +117,9 @@ double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell)
   for (double u : gauss)
     for (double v : gauss)
       for (double w : gauss) least = std::min(least, jacobian_at(points, cell, u, v, w).determinant());
+  for (double u : two_point_gauss)
+    for (double v : two_point_gauss)
+      for (double w : two_point_gauss) least = std::min(least, jacobian_at(points, cell, u, v, w).determinant());
   return least;
 }
 
@@ -123,7 +141,9 @@ double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell,
     lengths *= length, longest *= length + std::sqrt(spread);
   }
   const double bound = mean.determinant() - (longest - lengths);
-  return bound > enough ? bound : least_jacobian(points, cell);
+  if (bound > enough) return bound;
+  const double everywhere = least_bernstein_coefficient(points, cell);
+  return everywhere > enough ? everywhere : least_jacobian(points, cell);
 }
 
 double scaled_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell) {

@@ -14,10 +14,9 @@ using LatticeHexahedron = std::array<std::int32_t, 8>;
 
 // The eight Jacobian determinants at the corners of a hexahedron, edge vectors as columns.
 std::array<double, 8> corner_jacobians(const VertexMatrix& points, const LatticeHexahedron& cell);
-// The least determinant at the corners and at the 3×3×3 Gauss points, relative to the cube of `spacing`
-// times `height`.
+// The least determinant at the corners and at the 2×2×2 and 3×3×3 Gauss points.
 double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell);
-// The same, or a lower bound of it that is greater than `enough`.
+// The same, or a lower bound of the determinant all over the cell that is greater than `enough`.
 double least_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell, double enough);
 // The least over the corners of determinant over the product of edge lengths: 1 for a box, ≤ 0 inverted.
 double scaled_jacobian(const VertexMatrix& points, const LatticeHexahedron& cell);
