@@ -74,6 +74,7 @@ class LayerBuilder {
         thickness_(thickness),
         cells_(all_cells(grid)),
         around_(cells_, static_cast<std::size_t>(grid.points.rows())) {
+    samples_ = surface.samples(static_cast<int>(1.5 * static_cast<double>(grid.twin.size())));
     outer_of_.assign(grid.core.points.rows(), -1);
     for (std::size_t outer = 0; outer < grid.twin.size(); ++outer)
       outer_of_[grid.twin[outer]] = static_cast<std::int32_t>(outer);
@@ -431,23 +432,7 @@ class LayerBuilder {
       outer.faces.row(2 * q) << c[4], c[5], c[7];
       outer.faces.row(2 * q + 1) << c[4], c[7], c[6];
     }
-    const TargetSurface boundary(outer);
-    const std::vector<TargetSurface::Sample> samples = surface_.samples(static_cast<int>(1.5 * grid_.twin.size()));
-    std::vector<QuadAttraction> each(samples.size());
-    parallel_for(samples.size(), [&](std::size_t i) {
-      const Vec3 place = samples[i].point * scale_;
-      const TargetSurface::Nearest nearest = boundary.nearest_facing(place, samples[i].face_normal);
-      if (nearest.distance <= 0.25 || nearest.face < 0) return;
-      for (int k = 0; k < 3; ++k) {
-        each[i].corners[k] = boundary.mesh().faces(nearest.face, k);
-        each[i].beta[k] = nearest.barycentric[k];
-      }
-      each[i].corners[3] = each[i].corners[0];
-      each[i].target = place;
-      each[i].weight = weight;
-    });
-    std::erase_if(each, [](const QuadAttraction& p) { return !(p.weight > 0); });
-    return each;
+    return pulls_to_uncovered(outer, samples_, scale_, 0, weight);
   }
 
   // Locks the outer points and draws their twins below them.
@@ -461,8 +446,7 @@ class LayerBuilder {
       const Vec3 place = grid_.points.row(region.points[p]).transpose();
       const TargetSurface::Nearest nearest = surface_.nearest(place / scale_);
       if (nearest.distance * scale_ > surface_tolerance) continue;
-      optimization.plane_attractions.push_back({inner, place - thickness_ * nearest.normal, nearest.normal, 0.0, 0});
-      optimization.plane_attractions.back().weight = 4, optimization.plane_attractions.back().tangential = 1;
+      optimization.plane_attractions.push_back({inner, place - thickness_ * nearest.normal, nearest.normal, 4, 1});
     }
   }
 
@@ -511,7 +495,8 @@ class LayerBuilder {
   CellsOfPoints around_;
   std::vector<std::int32_t> outer_of_;  // of each core point, or −1
   std::vector<double> weight_;          // of each cell
-  std::vector<std::uint8_t> inside_;    // cells whose inside the energy judges
+  std::vector<TargetSurface::Sample> samples_;
+  std::vector<std::uint8_t> inside_;  // cells whose inside the energy judges
 };
 
 }  // namespace

@@ -166,23 +166,7 @@ class Embedding {
 
   // Parts of the object that no boundary quadrilateral is near draw the nearest one to themselves.
   void pull(double weight) {
-    const TargetSurface boundary(triangulated_boundary(grid_));
-    std::vector<QuadAttraction> pulls(samples_.size());
-    parallel_for(samples_.size(), [&](std::size_t i) {
-      const Vec3 place = samples_[i].point * scale_ - depth_ * samples_[i].face_normal;
-      const TargetSurface::Nearest nearest = boundary.nearest_facing(place, samples_[i].face_normal);
-      if (nearest.distance <= 0.25 || nearest.face < 0) return;
-      for (int k = 0; k < 3; ++k) {
-        pulls[i].corners[k] = boundary.mesh().faces(nearest.face, k);
-        pulls[i].beta[k] = nearest.barycentric[k];
-      }
-      pulls[i].corners[3] = pulls[i].corners[0];
-      pulls[i].target = place;
-      pulls[i].weight = weight;
-    });
-    optimization_.quad_attractions.clear();
-    for (const QuadAttraction& p : pulls)
-      if (p.weight > 0) optimization_.quad_attractions.push_back(p);
+    optimization_.quad_attractions = pulls_to_uncovered(triangulated_boundary(grid_), samples_, scale_, depth_, weight);
   }
 
   LatticeGrid& grid_;
@@ -260,6 +244,27 @@ LatticeGrid refine_blocks(const std::vector<Vec3i>& blocks, int refinement) {
       grid.boundary_quads.push_back(quad);
     }
   return grid;
+}
+
+std::vector<QuadAttraction> pulls_to_uncovered(const TriangleMesh& boundary,
+                                               const std::vector<TargetSurface::Sample>& samples, double scale,
+                                               double depth, double weight) {
+  const TargetSurface faces(boundary);
+  std::vector<QuadAttraction> pulls(samples.size());
+  parallel_for(samples.size(), [&](std::size_t i) {
+    const Vec3 place = samples[i].point * scale - depth * samples[i].face_normal;
+    const TargetSurface::Nearest nearest = faces.nearest_facing(place, samples[i].face_normal);
+    if (nearest.distance <= 0.25 || nearest.face < 0) return;
+    for (int k = 0; k < 3; ++k) {
+      pulls[i].corners[k] = boundary.faces(nearest.face, k);
+      pulls[i].beta[k] = nearest.barycentric[k];
+    }
+    pulls[i].corners[3] = pulls[i].corners[0];
+    pulls[i].target = place;
+    pulls[i].weight = weight;
+  });
+  std::erase_if(pulls, [](const QuadAttraction& pull) { return !(pull.weight > 0); });
+  return pulls;
 }
 
 TriangleMesh polycube_surface(const VoxelPolycube& polycube) {

@@ -31,6 +31,13 @@ LatticeGrid refine_blocks(const std::vector<Vec3i>& blocks, int refinement);
 // Outward area-weighted normals of the boundary at its points (n×3), zero elsewhere; not normalised.
 VertexMatrix boundary_normals(const LatticeGrid& grid);
 
+// Where samples of an object's surface, moved inwards by `depth`, lie more than a quarter of a cell from a grid's
+// boundary: attractions of the nearest faces of `boundary` to them. `boundary` and `depth` are in cells, of which
+// `scale` make the samples' unit.
+std::vector<QuadAttraction> pulls_to_uncovered(const TriangleMesh& boundary,
+                                               const std::vector<TargetSurface::Sample>& samples, double scale,
+                                               double depth, double weight);
+
 // The polycube's boundary in mm as closed triangles without unused points.
 TriangleMesh polycube_surface(const VoxelPolycube& polycube);
 
