@@ -3,6 +3,8 @@
 #   make demo        the marble bunny, from nothing to a picture
 #   make test        every test
 #   make bench       run time against error, drawn (SG_LONG=1: larger problems, more repetitions)
+#   make geometry-report [MESHES=folder] [OUT=dir] [NODES=1e5] [LIMIT=n] [JOBS=1]
+#                    every mesh of libcgal-demo (and of a folder) up to its polygrid: a table and pictures
 #   make SCENE=path [OUT=dir] [image.png or any artefact of the scene; views; report]
 #   make docs        the README's tables of options and scene keys, from the programs' own help
 SHELL := /bin/bash
@@ -11,18 +13,22 @@ JOBS ?= 2
 SCENE ?= assets/scenes/marble-bunny.json
 OUT ?=
 FLAGS ?=
+MESHES ?=
+NODES ?= 1e5
+LIMIT ?= 0
 
 # Names of scenes and folders are data: they go to the shell in the environment, and Make never expands them.
 override SCENE := $(value SCENE)
 override OUT := $(value OUT)
+override MESHES := $(value MESHES)
 MAKEOVERRIDES :=
-export SCENE OUT
+export SCENE OUT MESHES
 
 .DEFAULT_GOAL := image.png
 ARTEFACTS := all views report image.png image.exr exitance.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
   synthesized.ply textons.vdb sample.vdb distance.vdb surface.ply \
   polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
-.PHONY: setup configure build programs test demo bench docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
+.PHONY: setup configure build programs test demo bench geometry-report docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:
 	@bash .ci/install-packages
@@ -72,6 +78,13 @@ bench: build assets/meshes/bunny00.off
 	  plot="tests/benchmarks/$$name.gnuplot"; \
 	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot" || exit 1; fi; \
 	done
+
+# LIMIT=n: the n smallest meshes only; ONLY='name name': these.
+geometry-report: programs
+	@out=$${OUT:-out/geometry-report}; folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
+	  tar -xzf $(meshes) -C "$$folder" data/meshes && \
+	  SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/geometry_report.py -o "$$out" --nodes $(NODES) --least $(LIMIT) \
+	    --jobs $(if $(filter command,$(firstword $(origin JOBS))),$(JOBS),1) $(if $(ONLY),--only $(ONLY)) -- "$$folder/data/meshes" $${MESHES:+"$$MESHES"}
 
 docs: programs
 	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B pipeline/readme_tables.py README.md
