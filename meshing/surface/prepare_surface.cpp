@@ -79,6 +79,13 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
   if (options.retile) {
     result.to_input = sampled_distance(result.mesh, original, options.spacing);
     result.from_input = sampled_distance(original, result.mesh, options.spacing);
+    result.creases = compare_creases(original, result.mesh, options.feature_angle, options.spacing);
+    const double farthest = std::max(result.to_input, result.from_input) / options.spacing;
+    if (farthest > 0.3)
+      progress.warn(
+          fmt::format("the object is finer than the spacing in places: the surfaces are up to {:.2g} spacings "
+                      "apart",
+                      farthest));
   }
   return result;
 }

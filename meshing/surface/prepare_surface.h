@@ -25,6 +25,7 @@ struct PreparedSurface {
   double scale = 1;             // output length over input length
   double to_input = 0;          // sampled distance from the result to the repaired input, mm
   double from_input = 0;        // and back, mm
+  CreaseFigures creases;        // of the repaired input, kept by the result
   int retiling_attempts = 0;    // 0: not retiled
   bool kept_triangles = false;  // the repaired triangles were only subdivided, because retiling crossed itself
 };

@@ -43,8 +43,9 @@ TriangleMesh repair_surface(const TriangleMesh& mesh, bool close_holes, RepairRe
 // Counts a mesh's defects by connectivity alone.
 SurfaceDefects find_defects(const TriangleMesh& mesh);
 
-// Pairs of triangles that intersect other than in their shared corners and edges, by exact predicates.
-SelfIntersections find_self_intersections(const TriangleMesh& mesh);
+// Pairs of triangles that intersect other than in their shared corners and edges, by exact predicates. Where faces are
+// marked (m), only pairs with a marked one. A triangle without area counts as a pair with itself, and in no other.
+SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::vector<char>& marked = {});
 
 // Throws InputError unless the mesh is closed, manifold, consistently oriented and looking outward; one component
 // unless `several_components`. Self-intersection is not looked at.

@@ -49,23 +49,36 @@ bool intersect(const TriangleMesh& mesh, int face, int other) {
 
 }  // namespace
 
-SelfIntersections find_self_intersections(const TriangleMesh& mesh) {
+SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::vector<char>& marked) {
   std::vector<Box> boxes(mesh.face_count());
   for (int f = 0; f < mesh.face_count(); ++f)
     for (int k = 0; k < 3; ++k) boxes[f].add(mesh.corner(f, k));
+  std::vector<char> is_flat(boxes.size(), 0);
+  parallel_for(boxes.size(), [&](std::size_t f) {
+    const auto p = [&](int k) { return to_point(mesh.corner(static_cast<int>(f), k)); };
+    is_flat[f] = CGAL::collinear(p(0), p(1), p(2));
+  });
   const BoxTree tree(boxes);
   constexpr std::size_t chunk = 512;
   std::vector<std::vector<std::pair<int, int>>> found((boxes.size() + chunk - 1) / chunk);
   parallel_chunks(boxes.size(), chunk, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t f = begin; f < end; ++f)
+    for (std::size_t f = begin; f < end; ++f) {
+      if (!marked.empty() && !marked[f]) continue;
+      if (is_flat[f]) {  // without area it has no inside to cross: bad enough
+        found[begin / chunk].emplace_back(static_cast<int>(f), static_cast<int>(f));
+        continue;
+      }
       tree.visit_overlaps(boxes[f], [&](int leaf) {
         for (int slot = 0; slot < BoxTree::width; ++slot) {
           const int other = tree.item(leaf, slot);
-          if (other <= static_cast<int>(f) || !boxes[f].overlaps(boxes[other])) continue;
-          if (intersect(mesh, static_cast<int>(f), other))
-            found[begin / chunk].emplace_back(static_cast<int>(f), other);
+          // A pair is found from its lower face, or from its only marked one.
+          if (other < 0 || other == static_cast<int>(f) || is_flat[other] || !boxes[f].overlaps(boxes[other])) continue;
+          if (other < static_cast<int>(f) && (marked.empty() || marked[other])) continue;
+          if (intersect(mesh, std::min(static_cast<int>(f), other), std::max(static_cast<int>(f), other)))
+            found[begin / chunk].push_back(std::minmax(static_cast<int>(f), other));
         }
       });
+    }
   });
   SelfIntersections result;
   for (const auto& part : found) result.face_pairs.insert(result.face_pairs.end(), part.begin(), part.end());

@@ -2,7 +2,6 @@
 #include "meshing/surface/retile.h"
 
 #include <Eigen/Geometry>
-#include <OpenMesh/Core/Mesh/TriMesh_ArrayKernelT.hh>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -11,385 +10,277 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
-#include "meshing/surface/closest_point.h"
+#include "meshing/surface/retiling.h"
 
 namespace shellgrid {
-namespace {
 
-struct Traits : OpenMesh::DefaultTraits {
-  typedef OpenMesh::Vec3d Point;
-  VertexAttributes(OpenMesh::Attributes::Status);
-  EdgeAttributes(OpenMesh::Attributes::Status);
-  FaceAttributes(OpenMesh::Attributes::Status);
-  HalfedgeAttributes(OpenMesh::Attributes::Status | OpenMesh::Attributes::PrevHalfedge);
-};
-using Mesh = OpenMesh::TriMesh_ArrayKernelT<Traits>;
-using VertexHandle = OpenMesh::VertexHandle;
-using EdgeHandle = OpenMesh::EdgeHandle;
-using HalfedgeHandle = OpenMesh::HalfedgeHandle;
-using FaceHandle = OpenMesh::FaceHandle;
+Retiling::Retiling(const TriangleMesh& input, const RetileOptions& options)
+    : input_(input), options_(options), surface_(input) {
+  face_normals_.resize(input.face_count());
+  for (int f = 0; f < input.face_count(); ++f)
+    face_normals_[f] = cross_of(input.corner(f, 0), input.corner(f, 1), input.corner(f, 2)).normalized();
+  load(input);
+  refresh();
+  find_features();
+  find_tips();
+  VertexMatrix points(static_cast<Eigen::Index>(options.refine_at.size()), 3);
+  for (std::size_t i = 0; i < options.refine_at.size(); ++i)
+    points.row(static_cast<Eigen::Index>(i)) = options.refine_at[i].transpose();
+  refinements_ = points;
+  if (points.rows() > 0) refinement_query_ = NearestVertexQuery(points);
+}
 
-Vec3 to_vec(const Mesh::Point& p) { return {p[0], p[1], p[2]}; }
-Mesh::Point to_point(const Vec3& p) { return {p.x(), p.y(), p.z()}; }
-
-Vec3 cross_of(const Vec3& a, const Vec3& b, const Vec3& c) { return (b - a).cross(c - a); }
-
-// A mesh under change: half-edges from OpenMesh, status bits `feature` for sharp edges and their vertices, `locked`
-// for their corners.
-class Retiling {
- public:
-  Retiling(const TriangleMesh& input, const RetileOptions& options) : options_(options), surface_(input) {
-    face_normals_.resize(input.face_count());
-    for (int f = 0; f < input.face_count(); ++f)
-      face_normals_[f] = cross_of(input.corner(f, 0), input.corner(f, 1), input.corner(f, 2)).normalized();
-    load(input);
-    find_features();
-    find_tips();
-    VertexMatrix points(static_cast<Eigen::Index>(options.refine_at.size()), 3);
-    for (std::size_t i = 0; i < options.refine_at.size(); ++i)
-      points.row(static_cast<Eigen::Index>(i)) = options.refine_at[i].transpose();
-    refinements_ = points;
-    if (points.rows() > 0) refinement_query_ = NearestVertexQuery(points);
+TriangleMesh Retiling::run(Progress& progress) {
+  double target = options_.spacing / 0.95;
+  progress.begin("retiling", options_.iterations);
+  // A few rounds more where the mean has not settled, as on large flat faces.
+  for (int iteration = 0; iteration < 2 * options_.iterations; ++iteration) {
+    if (iteration >= options_.iterations && std::abs(mean_edge() / options_.spacing - 1) < 0.01) break;
+    split_long(4.0 / 3 * target);
+    collapse_short(4.0 / 5 * target, 4.0 / 3 * target);
+    flip();
+    relax();
+    target *= std::clamp(options_.spacing / mean_edge(), 0.95, 1.05);
+    progress.advance();
   }
-
-  TriangleMesh run(Progress& progress) {
-    double target = options_.spacing / 0.95;
-    progress.begin("retiling", options_.iterations);
-    // A few rounds more where the mean has not settled, as on large flat faces.
-    for (int iteration = 0; iteration < 2 * options_.iterations; ++iteration) {
-      if (iteration >= options_.iterations && std::abs(mean_edge() / options_.spacing - 1) < 0.01) break;
-      split_long(4.0 / 3 * target);
-      collapse_short(4.0 / 5 * target, 4.0 / 3 * target);
-      flip();
-      relax();
-      target *= std::clamp(options_.spacing / mean_edge(), 0.95, 1.05);
-      progress.advance();
-    }
-    for (int pass = 0; pass < 2; ++pass) {
-      flip();
-      relax();
-    }
-    progress.end();
-    return extract();
+  for (int pass = 0; pass < 2; ++pass) {
+    flip();
+    relax();
   }
+  fit();
+  progress.end();
+  return extract();
+}
 
-  void split_long(double longest) {
-    const double limit = longest * longest;
-    std::vector<std::pair<double, int>> queue;
-    for (;;) {
-      // Longest first within a round; new edges wait for the next one.
-      queue.clear();
-      for (std::size_t e = 0; e < mesh_.n_edges(); ++e) {
-        const double length = scaled_squared_length(EdgeHandle(static_cast<int>(e)));
-        if (length > limit) queue.emplace_back(-length, static_cast<int>(e));
-      }
-      if (queue.empty()) break;
-      std::sort(queue.begin(), queue.end());
-      for (const auto& entry : queue) split(EdgeHandle(entry.second));
-      if (mesh_.n_vertices() > 50'000'000)
-        throw InputError("retiling needs more than 5e7 vertices; ask for a larger spacing");
-    }
-  }
-
-  TriangleMesh extract() const {
-    TriangleMesh result;
-    result.vertices.resize(static_cast<Eigen::Index>(mesh_.n_vertices()), 3);
-    for (std::size_t v = 0; v < mesh_.n_vertices(); ++v)
-      result.vertices.row(static_cast<Eigen::Index>(v)) = position(static_cast<int>(v)).transpose();
-    result.faces.resize(static_cast<Eigen::Index>(mesh_.n_faces()), 3);
-    for (std::size_t f = 0; f < mesh_.n_faces(); ++f) {
-      const HalfedgeHandle h = mesh_.halfedge_handle(FaceHandle(static_cast<int>(f)));
-      result.faces.row(static_cast<Eigen::Index>(f)) << mesh_.from_vertex_handle(h).idx(),
-          mesh_.to_vertex_handle(h).idx(), mesh_.to_vertex_handle(mesh_.next_halfedge_handle(h)).idx();
-    }
-    return result;
-  }
-
- private:
-  Vec3 position(int v) const { return to_vec(mesh_.point(VertexHandle(v))); }
-  Vec3 position(VertexHandle v) const { return to_vec(mesh_.point(v)); }
-
-  double squared_length(EdgeHandle e) const {
-    const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
-    return (position(mesh_.to_vertex_handle(h)) - position(mesh_.from_vertex_handle(h))).squaredNorm();
-  }
-
-  // The same in units of the local target length over the global one.
-  double scaled_squared_length(EdgeHandle e) const {
-    const double length = squared_length(e);
-    if (refinements_.rows() == 0) return length;
-    const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
-    const double scale =
-        size_factor(0.5 * (position(mesh_.to_vertex_handle(h)) + position(mesh_.from_vertex_handle(h))));
-    return length / (scale * scale);
-  }
-
-  double size_factor(const Vec3& p) const {
-    if (refinements_.rows() == 0) return 1;
-    const double distance = (refinements_.row(refinement_query_.nearest(p)).transpose() - p).norm();
-    return std::clamp(distance / (4 * options_.spacing), options_.refine_factor, 1.0);
-  }
-
-  double mean_edge() const {
-    return parallel_sum(mesh_.n_edges(), 0.0,
-                        [&](std::size_t e) { return std::sqrt(squared_length(EdgeHandle(static_cast<int>(e)))); }) /
-           static_cast<double>(mesh_.n_edges());
-  }
-
-  void load(const TriangleMesh& input) {
-    mesh_.reserve(input.vertex_count(), 3 * static_cast<std::size_t>(input.face_count()) / 2, input.face_count());
-    for (int v = 0; v < input.vertex_count(); ++v) mesh_.add_vertex(to_point(input.vertex(v)));
-    for (int f = 0; f < input.face_count(); ++f) {
-      const FaceHandle added = mesh_.add_face(VertexHandle(input.faces(f, 0)), VertexHandle(input.faces(f, 1)),
-                                              VertexHandle(input.faces(f, 2)));
-      if (!added.is_valid()) throw InternalError("retile_surface: the input is not a closed manifold");
-    }
-  }
-
-  // Marks chains of sharp edges that are long enough to be meant.
-  void find_features() {
-    const double limit = std::cos(options_.feature_angle * std::numbers::pi / 180);
-    std::vector<int> sharp;
+void Retiling::split_long(double longest) {
+  const double limit = longest * longest;
+  std::vector<std::pair<double, int>> queue;
+  for (;;) {
+    // Longest first within a round; new edges wait for the next one.
+    queue.clear();
     for (std::size_t e = 0; e < mesh_.n_edges(); ++e) {
-      const HalfedgeHandle h = mesh_.halfedge_handle(EdgeHandle(static_cast<int>(e)), 0);
-      const int f = mesh_.face_handle(h).idx(), g = mesh_.opposite_face_handle(h).idx();
-      if (face_normals_[f].dot(face_normals_[g]) < limit) sharp.push_back(static_cast<int>(e));
+      const double length = scaled_squared_length(EdgeHandle(static_cast<int>(e)));
+      if (length > limit) queue.emplace_back(-length, static_cast<int>(e));
     }
-    // Chains are the connected sets of sharp edges.
-    std::vector<int> root(mesh_.n_vertices());
-    std::iota(root.begin(), root.end(), 0);
-    const auto find = [&](int v) {
-      while (root[v] != v) v = root[v] = root[root[v]];
-      return v;
-    };
-    const auto ends = [&](int e) {
-      const HalfedgeHandle h = mesh_.halfedge_handle(EdgeHandle(e), 0);
-      return std::pair(mesh_.from_vertex_handle(h).idx(), mesh_.to_vertex_handle(h).idx());
-    };
-    for (const int e : sharp) {
-      const int a = find(ends(e).first), b = find(ends(e).second);
-      root[std::max(a, b)] = std::min(a, b);
-    }
-    std::vector<double> length(mesh_.n_vertices(), 0);
-    for (const int e : sharp) length[find(ends(e).first)] += std::sqrt(squared_length(EdgeHandle(e)));
-    TriangleMesh segments;
-    segments.vertices.resize(static_cast<Eigen::Index>(mesh_.n_vertices()), 3);
-    std::vector<std::array<int, 2>> kept;
-    for (const int e : sharp)
-      if (length[find(ends(e).first)] >= 10 * options_.spacing) {
-        mesh_.status(EdgeHandle(e)).set_feature(true);
-        kept.push_back({ends(e).first, ends(e).second});
-      }
-    // Segments as triangles without area.
-    segments.faces.resize(static_cast<Eigen::Index>(kept.size()), 3);
-    std::vector<std::vector<int>> neighbours(mesh_.n_vertices());
-    for (std::size_t i = 0; i < kept.size(); ++i) {
-      const auto [a, b] = kept[i];
-      segments.faces.row(static_cast<Eigen::Index>(i)) << a, b, b;
-      neighbours[a].push_back(b);
-      neighbours[b].push_back(a);
-    }
-    for (std::size_t v = 0; v < mesh_.n_vertices(); ++v) {
-      segments.vertices.row(static_cast<Eigen::Index>(v)) = position(static_cast<int>(v)).transpose();
-      if (neighbours[v].empty()) continue;
-      const VertexHandle handle(static_cast<int>(v));
-      mesh_.status(handle).set_feature(true);
-      bool corner = neighbours[v].size() != 2;
-      if (!corner) {
-        const Vec3 p = position(handle);
-        const Vec3 in = (p - position(neighbours[v][0])).normalized(),
-                   out = (position(neighbours[v][1]) - p).normalized();
-        corner = in.dot(out) < std::cos(std::numbers::pi / 4);
-      }
-      if (corner) mesh_.status(handle).set_locked(true);
-    }
-    if (!kept.empty()) features_ = ClosestPointQuery(segments);
+    if (queue.empty()) break;
+    std::sort(queue.begin(), queue.end());
+    for (const auto& entry : queue) split(EdgeHandle(entry.second));
+    if (mesh_.n_vertices() > 50'000'000)
+      throw InputError("retiling needs more than 5e7 vertices; ask for a larger spacing");
   }
+}
 
-  // Keeps tips: vertices where the angles of long faces fall short of a full turn by 0.3 or more.
-  void find_tips() {
-    for (std::size_t i = 0; i < mesh_.n_vertices(); ++i) {
-      const VertexHandle v(static_cast<int>(i));
-      double angle = 0, length = 0;
-      int count = 0;
-      for (const HalfedgeHandle out : mesh_.voh_range(v)) {
-        const Vec3 p = position(mesh_.to_vertex_handle(out)) - position(v);
-        const Vec3 q = position(mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out))) - position(v);
-        angle += std::atan2(p.cross(q).norm(), p.dot(q));
-        length += p.norm();
-        ++count;
-      }
-      if (2 * std::numbers::pi - angle > 0.3 && length > 3 * options_.spacing * count) mesh_.status(v).set_locked(true);
-    }
+TriangleMesh Retiling::extract() const {
+  TriangleMesh result;
+  result.vertices.resize(static_cast<Eigen::Index>(mesh_.n_vertices()), 3);
+  for (std::size_t v = 0; v < mesh_.n_vertices(); ++v)
+    result.vertices.row(static_cast<Eigen::Index>(v)) = position(static_cast<int>(v)).transpose();
+  result.faces.resize(static_cast<Eigen::Index>(mesh_.n_faces()), 3);
+  for (std::size_t f = 0; f < mesh_.n_faces(); ++f) {
+    const HalfedgeHandle h = mesh_.halfedge_handle(FaceHandle(static_cast<int>(f)));
+    result.faces.row(static_cast<Eigen::Index>(f)) << mesh_.from_vertex_handle(h).idx(),
+        mesh_.to_vertex_handle(h).idx(), mesh_.to_vertex_handle(mesh_.next_halfedge_handle(h)).idx();
   }
+  return result;
+}
 
-  void split(EdgeHandle e) {
-    const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
-    const VertexHandle a = mesh_.from_vertex_handle(h), b = mesh_.to_vertex_handle(h);
-    const bool feature = mesh_.status(e).feature();
-    const VertexHandle middle = mesh_.add_vertex((mesh_.point(a) + mesh_.point(b)) * 0.5);
-    mesh_.split(e, middle);
-    for (const VertexHandle end : {a, b})
-      mesh_.status(mesh_.edge_handle(mesh_.find_halfedge(middle, end))).set_feature(feature);
-    mesh_.status(middle).set_feature(feature);
+double Retiling::squared_length(EdgeHandle e) const {
+  const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
+  return (position(mesh_.to_vertex_handle(h)) - position(mesh_.from_vertex_handle(h))).squaredNorm();
+}
+
+double Retiling::scaled_squared_length(EdgeHandle e) const {
+  const double length = squared_length(e);
+  if (refinements_.rows() == 0) return length;
+  const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
+  const double scale = size_factor(0.5 * (position(mesh_.to_vertex_handle(h)) + position(mesh_.from_vertex_handle(h))));
+  return length / (scale * scale);
+}
+
+double Retiling::size_factor(const Vec3& p) const {
+  if (refinements_.rows() == 0) return 1;
+  const double distance = (refinements_.row(refinement_query_.nearest(p)).transpose() - p).norm();
+  return std::clamp(distance / (4 * options_.spacing), options_.refine_factor, 1.0);
+}
+
+double Retiling::mean_edge() const {
+  return parallel_sum(mesh_.n_edges(), 0.0,
+                      [&](std::size_t e) { return std::sqrt(squared_length(EdgeHandle(static_cast<int>(e)))); }) /
+         static_cast<double>(mesh_.n_edges());
+}
+
+void Retiling::load(const TriangleMesh& input) {
+  mesh_.reserve(input.vertex_count(), 3 * static_cast<std::size_t>(input.face_count()) / 2, input.face_count());
+  for (int v = 0; v < input.vertex_count(); ++v) mesh_.add_vertex(to_point(input.vertex(v)));
+  for (int f = 0; f < input.face_count(); ++f) {
+    const FaceHandle added = mesh_.add_face(VertexHandle(input.faces(f, 0)), VertexHandle(input.faces(f, 1)),
+                                            VertexHandle(input.faces(f, 2)));
+    if (!added.is_valid()) throw InternalError("retile_surface: the input is not a closed manifold");
   }
+}
 
-  void collapse_short(double shortest, double longest) {
-    const double limit = shortest * shortest;
-    for (std::size_t e = 0; e < mesh_.n_edges(); ++e) {
-      const EdgeHandle edge(static_cast<int>(e));
-      if (mesh_.status(edge).deleted() || scaled_squared_length(edge) >= limit) continue;
-      for (int side = 0; side < 2; ++side) {
-        const HalfedgeHandle h = mesh_.halfedge_handle(edge, side);
-        if (!may_collapse(h, longest * longest)) continue;
-        collapse(h);
-        break;
-      }
-    }
-    mesh_.garbage_collection();
-  }
+void Retiling::split(EdgeHandle e) {
+  const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
+  const VertexHandle a = mesh_.from_vertex_handle(h), b = mesh_.to_vertex_handle(h);
+  const bool feature = mesh_.status(e).feature();
+  const VertexHandle middle = mesh_.add_vertex((mesh_.point(a) + mesh_.point(b)) * 0.5);
+  refresh();
+  mesh_.split(e, middle);
+  for (const VertexHandle end : {a, b})
+    mesh_.status(mesh_.edge_handle(mesh_.find_halfedge(middle, end))).set_feature(feature);
+  mesh_.status(middle).set_feature(feature);
+}
 
-  // Whether the half-edge's tail may move onto its head.
-  bool may_collapse(HalfedgeHandle h, double longest_squared) {
-    const VertexHandle from = mesh_.from_vertex_handle(h), to = mesh_.to_vertex_handle(h);
-    if (mesh_.status(from).locked()) return false;
-    if (mesh_.status(from).feature() && !mesh_.status(mesh_.edge_handle(h)).feature()) return false;
-    const Vec3 target = position(to);
-    const double factor = size_factor(target);
-    longest_squared *= factor * factor;
-    for (const VertexHandle v : mesh_.vv_range(from))
-      if ((position(v) - target).squaredNorm() > longest_squared) return false;
-    if (!mesh_.is_collapse_ok(h)) return false;
-    const Vec3 source = position(from);
-    for (const HalfedgeHandle out : mesh_.voh_range(from)) {
-      const VertexHandle p = mesh_.to_vertex_handle(out);
-      const VertexHandle q = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out));
-      if (p == to || q == to) continue;
-      const Vec3 before = cross_of(source, position(p), position(q));
-      const Vec3 after = cross_of(target, position(p), position(q));
-      if (!(before.dot(after) > 0.5 * before.norm() * after.norm())) return false;
-    }
-    return true;
-  }
-
-  void collapse(HalfedgeHandle h) {
-    const VertexHandle to = mesh_.to_vertex_handle(h);
-    // Two edges become one at either side: it is sharp where one of the two is.
-    std::array<std::pair<VertexHandle, bool>, 2> sides;
+void Retiling::collapse_short(double shortest, double longest) {
+  const double limit = shortest * shortest;
+  for (std::size_t e = 0; e < mesh_.n_edges(); ++e) {
+    const EdgeHandle edge(static_cast<int>(e));
+    if (mesh_.status(edge).deleted() || scaled_squared_length(edge) >= limit) continue;
     for (int side = 0; side < 2; ++side) {
-      const HalfedgeHandle inner = side == 0 ? h : mesh_.opposite_halfedge_handle(h);
-      const HalfedgeHandle next = mesh_.next_halfedge_handle(inner), after = mesh_.next_halfedge_handle(next);
-      sides[side] = {mesh_.to_vertex_handle(next), mesh_.status(mesh_.edge_handle(next)).feature() ||
-                                                       mesh_.status(mesh_.edge_handle(after)).feature()};
-    }
-    mesh_.collapse(h);
-    for (const auto& [v, feature] : sides) {
-      const HalfedgeHandle joined = mesh_.find_halfedge(to, v);
-      if (joined.is_valid()) mesh_.status(mesh_.edge_handle(joined)).set_feature(feature);
+      const HalfedgeHandle h = mesh_.halfedge_handle(edge, side);
+      if (!may_collapse(h, longest * longest)) continue;
+      collapse(h);
+      break;
     }
   }
+  mesh_.garbage_collection();
+  refresh();
+}
 
-  // Evens out valences towards six.
-  void flip() {
-    std::vector<int> valence(mesh_.n_vertices(), 0);
-    for (std::size_t e = 0; e < mesh_.n_edges(); ++e)
-      for (int side = 0; side < 2; ++side)
-        ++valence[mesh_.to_vertex_handle(mesh_.halfedge_handle(EdgeHandle(static_cast<int>(e)), side)).idx()];
-    const auto excess = [&](int v, int change) { return std::abs(valence[v] + change - 6); };
-    for (std::size_t i = 0; i < mesh_.n_edges(); ++i) {
-      const EdgeHandle e(static_cast<int>(i));
-      if (mesh_.status(e).feature()) continue;
-      const HalfedgeHandle h = mesh_.halfedge_handle(e, 0), o = mesh_.halfedge_handle(e, 1);
-      const VertexHandle a = mesh_.from_vertex_handle(h), b = mesh_.to_vertex_handle(h);
-      const VertexHandle c = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(h));
-      const VertexHandle d = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(o));
-      const int before = excess(a.idx(), 0) + excess(b.idx(), 0) + excess(c.idx(), 0) + excess(d.idx(), 0);
-      const int after = excess(a.idx(), -1) + excess(b.idx(), -1) + excess(c.idx(), 1) + excess(d.idx(), 1);
-      if (after >= before || valence[a.idx()] <= 3 || valence[b.idx()] <= 3) continue;
-      if (!mesh_.is_flip_ok(e) || !flip_keeps_shape(position(a), position(b), position(c), position(d))) continue;
-      mesh_.flip(e);
-      --valence[a.idx()], --valence[b.idx()], ++valence[c.idx()], ++valence[d.idx()];
-    }
+bool Retiling::may_collapse(HalfedgeHandle h, double longest_squared) {
+  const VertexHandle from = mesh_.from_vertex_handle(h), to = mesh_.to_vertex_handle(h);
+  if (mesh_.status(from).locked()) return false;
+  if (mesh_.status(from).feature() && !mesh_.status(mesh_.edge_handle(h)).feature()) return false;
+  const Vec3 target = position(to);
+  const double factor = size_factor(target);
+  longest_squared *= factor * factor;
+  for (const VertexHandle v : mesh_.vv_range(from))
+    if ((position(v) - target).squaredNorm() > longest_squared) return false;
+  if (!mesh_.is_collapse_ok(h)) return false;
+  const Vec3 source = position(from);
+  for (const HalfedgeHandle out : mesh_.voh_range(from)) {
+    const VertexHandle p = mesh_.to_vertex_handle(out);
+    const VertexHandle q = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out));
+    if (p == to || q == to) continue;
+    const Vec3 before = cross_of(source, position(p), position(q));
+    const Vec3 after = cross_of(target, position(p), position(q));
+    if (!(before.dot(after) > 0.5 * before.norm() * after.norm())) return false;
   }
+  return true;
+}
 
-  // Faces (a, b, c), (b, a, d) become (c, a, d), (d, b, c): none may turn by 60 degrees or become a needle.
-  static bool flip_keeps_shape(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
-    const Vec3 old_sum = cross_of(a, b, c) + cross_of(b, a, d);
-    const Vec3 first = cross_of(c, a, d), second = cross_of(d, b, c);
-    const double size = old_sum.norm();
-    if (!(first.dot(old_sum) > 0.5 * first.norm() * size && second.dot(old_sum) > 0.5 * second.norm() * size))
-      return false;
-    if (!(first.dot(second) > 0.5 * first.norm() * second.norm())) return false;
-    return std::min(first.norm(), second.norm()) > 0.1 * (c - d).squaredNorm();
+void Retiling::collapse(HalfedgeHandle h) {
+  const VertexHandle to = mesh_.to_vertex_handle(h);
+  // Two edges become one at either side: it is sharp where one of the two is.
+  std::array<std::pair<VertexHandle, bool>, 2> sides;
+  for (int side = 0; side < 2; ++side) {
+    const HalfedgeHandle inner = side == 0 ? h : mesh_.opposite_halfedge_handle(h);
+    const HalfedgeHandle next = mesh_.next_halfedge_handle(inner), after = mesh_.next_halfedge_handle(next);
+    sides[side] = {mesh_.to_vertex_handle(next),
+                   mesh_.status(mesh_.edge_handle(next)).feature() || mesh_.status(mesh_.edge_handle(after)).feature()};
   }
-
-  // Moves every vertex towards the middle of its neighbours within the tangent plane, then back onto the surface.
-  void relax() {
-    const std::size_t n = mesh_.n_vertices();
-    std::vector<Vec3> moved(n);
-    parallel_for(n, [&](std::size_t v) { moved[v] = relaxed_position(VertexHandle(static_cast<int>(v))); });
-    // Where a face would turn over, its corners stay.
-    std::vector<char> turns(mesh_.n_faces());
-    for (int round = 0; round < 4; ++round) {
-      parallel_for(turns.size(), [&](std::size_t f) { turns[f] = turns_over(FaceHandle(static_cast<int>(f)), moved); });
-      bool any = false;
-      for (std::size_t f = 0; f < turns.size(); ++f) {
-        if (!turns[f]) continue;
-        for (const VertexHandle v : mesh_.fv_range(FaceHandle(static_cast<int>(f)))) moved[v.idx()] = position(v);
-        any = true;
-      }
-      if (!any) break;
-    }
-    parallel_for(n, [&](std::size_t v) { mesh_.set_point(VertexHandle(static_cast<int>(v)), to_point(moved[v])); });
+  mesh_.collapse(h);
+  for (const auto& [v, feature] : sides) {
+    const HalfedgeHandle joined = mesh_.find_halfedge(to, v);
+    if (joined.is_valid()) mesh_.status(mesh_.edge_handle(joined)).set_feature(feature);
   }
+}
 
-  Vec3 relaxed_position(VertexHandle v) const {
-    const Vec3 here = position(v);
-    if (mesh_.status(v).locked()) return here;
-    if (mesh_.status(v).feature()) {
-      Vec3 sum = Vec3::Zero();
-      int count = 0;
-      for (const HalfedgeHandle out : mesh_.voh_range(v))
-        if (mesh_.status(mesh_.edge_handle(out)).feature()) sum += position(mesh_.to_vertex_handle(out)), ++count;
-      if (count != 2) return here;
-      return features_.nearest(0.5 * here + 0.25 * sum).point;
-    }
-    Vec3 sum = Vec3::Zero(), normal = Vec3::Zero();
-    int count = 0;
-    for (const HalfedgeHandle out : mesh_.voh_range(v)) {
-      const Vec3 p = position(mesh_.to_vertex_handle(out));
-      normal += cross_of(here, p, position(mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out))));
-      sum += p;
-      ++count;
-    }
-    normal.normalize();
-    Vec3 step = sum / count - here;
-    step -= normal.dot(step) * normal;
-    if (!step.allFinite()) return here;
-    // The vertex lies on the surface or is the middle of a chord of it: the nearest point is not far.
-    SurfacePoint found = surface_.nearest(here + step, step.norm() + 0.2 * options_.spacing);
-    if (found.face_index < 0) found = surface_.nearest(here + step);
-    // Not onto the far side of a thin wall.
-    return face_normals_[found.face_index].dot(normal) > 0 ? found.point : here;
-  }
-
-  bool turns_over(FaceHandle f, const std::vector<Vec3>& moved) const {
-    const HalfedgeHandle h = mesh_.halfedge_handle(f);
+void Retiling::flip() {
+  std::vector<int> valence(mesh_.n_vertices(), 0);
+  for (std::size_t e = 0; e < mesh_.n_edges(); ++e)
+    for (int side = 0; side < 2; ++side)
+      ++valence[mesh_.to_vertex_handle(mesh_.halfedge_handle(EdgeHandle(static_cast<int>(e)), side)).idx()];
+  const auto excess = [&](int v, int change) { return std::abs(valence[v] + change - 6); };
+  for (std::size_t i = 0; i < mesh_.n_edges(); ++i) {
+    const EdgeHandle e(static_cast<int>(i));
+    if (mesh_.status(e).feature()) continue;
+    const HalfedgeHandle h = mesh_.halfedge_handle(e, 0), o = mesh_.halfedge_handle(e, 1);
     const VertexHandle a = mesh_.from_vertex_handle(h), b = mesh_.to_vertex_handle(h);
     const VertexHandle c = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(h));
-    const Vec3 before = cross_of(position(a), position(b), position(c));
-    const Vec3 after = cross_of(moved[a.idx()], moved[b.idx()], moved[c.idx()]);
-    const double turn = before.dot(after);
-    return !(turn > 0) || turn * turn < 0.09 * before.squaredNorm() * after.squaredNorm();
+    const VertexHandle d = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(o));
+    const int before = excess(a.idx(), 0) + excess(b.idx(), 0) + excess(c.idx(), 0) + excess(d.idx(), 0);
+    const int after = excess(a.idx(), -1) + excess(b.idx(), -1) + excess(c.idx(), 1) + excess(d.idx(), 1);
+    if (after >= before || valence[a.idx()] <= 3 || valence[b.idx()] <= 3) continue;
+    if (!mesh_.is_flip_ok(e) || !flip_keeps_shape(position(a), position(b), position(c), position(d))) continue;
+    mesh_.flip(e);
+    --valence[a.idx()], --valence[b.idx()], ++valence[c.idx()], ++valence[d.idx()];
   }
+}
 
-  RetileOptions options_;
-  Mesh mesh_;
-  ClosestPointQuery surface_, features_;
-  VertexMatrix refinements_;
-  NearestVertexQuery refinement_query_;
-  std::vector<Vec3> face_normals_;
-};
+bool Retiling::flip_keeps_shape(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
+  const Vec3 old_sum = cross_of(a, b, c) + cross_of(b, a, d);
+  const Vec3 first = cross_of(c, a, d), second = cross_of(d, b, c);
+  const double size = old_sum.norm();
+  if (!(first.dot(old_sum) > 0.5 * first.norm() * size && second.dot(old_sum) > 0.5 * second.norm() * size))
+    return false;
+  if (!(first.dot(second) > 0.5 * first.norm() * second.norm())) return false;
+  return std::min(first.norm(), second.norm()) > 0.1 * (c - d).squaredNorm();
+}
+
+void Retiling::relax(const std::vector<char>& active) {
+  const std::size_t n = mesh_.n_vertices();
+  std::vector<Vec3> moved(n);
+  parallel_for(n, [&](std::size_t v) {
+    const VertexHandle handle(static_cast<int>(v));
+    moved[v] = active.empty() || active[v] ? relaxed_position(handle) : position(handle);
+  });
+  // Where a face would turn over, its corners stay.
+  std::vector<char> turns(mesh_.n_faces());
+  for (int round = 0; round < 4; ++round) {
+    parallel_for(turns.size(), [&](std::size_t f) { turns[f] = turns_over(FaceHandle(static_cast<int>(f)), moved); });
+    bool any = false;
+    for (std::size_t f = 0; f < turns.size(); ++f) {
+      if (!turns[f]) continue;
+      for (const VertexHandle v : mesh_.fv_range(FaceHandle(static_cast<int>(f)))) moved[v.idx()] = position(v);
+      any = true;
+    }
+    if (!any) break;
+  }
+  parallel_for(n, [&](std::size_t v) { mesh_.set_point(VertexHandle(static_cast<int>(v)), to_point(moved[v])); });
+}
+
+Vec3 Retiling::relaxed_position(VertexHandle v) const {
+  const Vec3 here = position(v);
+  if (mesh_.status(v).locked()) return here;
+  if (mesh_.status(v).feature()) {
+    Vec3 sum = Vec3::Zero();
+    int count = 0;
+    for (const HalfedgeHandle out : mesh_.voh_range(v))
+      if (mesh_.status(mesh_.edge_handle(out)).feature()) sum += position(mesh_.to_vertex_handle(out)), ++count;
+    if (count != 2) return here;
+    return features_.nearest(0.5 * here + 0.25 * sum).point;
+  }
+  Vec3 sum = Vec3::Zero(), normal = Vec3::Zero();
+  int count = 0;
+  for (const HalfedgeHandle out : mesh_.voh_range(v)) {
+    const Vec3 p = position(mesh_.to_vertex_handle(out));
+    normal += cross_of(here, p, position(mesh_.to_vertex_handle(mesh_.next_halfedge_handle(out))));
+    sum += p;
+    ++count;
+  }
+  normal.normalize();
+  Vec3 step = sum / count - here;
+  step -= normal.dot(step) * normal;
+  if (!step.allFinite()) return here;
+  // The vertex lies on the surface or is the middle of a chord of it: the nearest point is not far.
+  SurfacePoint found = surface_.nearest(here + step, step.norm() + 0.2 * options_.spacing);
+  if (found.face_index < 0) found = surface_.nearest(here + step);
+  // Not onto the far side of a thin wall.
+  return face_normals_[found.face_index].dot(normal) > 0 ? found.point : here;
+}
+
+bool Retiling::turns_over(FaceHandle f, const std::vector<Vec3>& moved) const {
+  const HalfedgeHandle h = mesh_.halfedge_handle(f);
+  const VertexHandle a = mesh_.from_vertex_handle(h), b = mesh_.to_vertex_handle(h);
+  const VertexHandle c = mesh_.to_vertex_handle(mesh_.next_halfedge_handle(h));
+  const Vec3 before = cross_of(position(a), position(b), position(c));
+  const Vec3 after = cross_of(moved[a.idx()], moved[b.idx()], moved[c.idx()]);
+  const double turn = before.dot(after);
+  return !(turn > 0) || turn * turn < 0.09 * before.squaredNorm() * after.squaredNorm();
+}
+
+namespace {
 
 // Every third bit of a 21-bit number.
 std::uint64_t spread_bits(std::uint64_t x) {

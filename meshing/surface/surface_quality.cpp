@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 
 #include "meshing/core/parallel.h"
 #include "meshing/surface/closest_point.h"
+#include "meshing/surface/half_edges.h"
 
 namespace shellgrid {
 
@@ -59,6 +61,51 @@ double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double
     return greatest;
   });
   return std::sqrt(std::max(at_vertices, on_faces));
+}
+
+namespace {
+
+// Edges whose faces' normals differ by more than the angle, as faces without area.
+TriangleMesh sharp_edges(const TriangleMesh& mesh, double angle) {
+  const HalfEdges half_edges = build_half_edges(mesh);
+  const double limit = std::cos(angle * std::numbers::pi / 180);
+  const auto normal = [&](std::int32_t h) {
+    const int f = h / 3;
+    return (mesh.corner(f, 1) - mesh.corner(f, 0)).cross(mesh.corner(f, 2) - mesh.corner(f, 0)).normalized();
+  };
+  std::vector<Eigen::Vector3i> edges;
+  for (std::int32_t h = 0; h < 3 * mesh.face_count(); ++h) {
+    const std::int32_t twin = half_edges.twin[h];
+    if (twin < h || normal(h).dot(normal(twin)) >= limit) continue;
+    edges.emplace_back(HalfEdges::from(mesh, h), HalfEdges::to(mesh, h), HalfEdges::to(mesh, h));
+  }
+  TriangleMesh result;
+  result.vertices = mesh.vertices;
+  result.faces.resize(static_cast<Eigen::Index>(edges.size()), 3);
+  for (std::size_t e = 0; e < edges.size(); ++e) result.faces.row(static_cast<Eigen::Index>(e)) = edges[e].transpose();
+  return result;
+}
+
+}  // namespace
+
+CreaseFigures compare_creases(const TriangleMesh& from, const TriangleMesh& to, double angle, double spacing) {
+  const TriangleMesh creases = sharp_edges(from, angle), others = sharp_edges(to, 0.6 * angle);
+  const ClosestPointQuery query(others);
+  CreaseFigures figures;
+  double kept = 0;
+  for (int e = 0; e < creases.face_count(); ++e) {
+    const Vec3 a = creases.corner(e, 0), b = creases.corner(e, 1);
+    const int parts = static_cast<int>(std::clamp(std::ceil(4 * (b - a).norm() / spacing), 1.0, 1e5));
+    const double length = (b - a).norm() / parts;
+    for (int i = 0; i < parts; ++i) {
+      const double distance = std::sqrt(query.nearest(a + (i + 0.5) / parts * (b - a)).squared_distance);
+      figures.length += length;
+      figures.distance = std::max(figures.distance, distance);
+      if (distance <= 0.25 * spacing) kept += length;
+    }
+  }
+  if (figures.length > 0) figures.kept = kept / figures.length;
+  return figures;
 }
 
 std::vector<float> distances_to_surface(const VertexMatrix& points, const TriangleMesh& surface) {

@@ -19,6 +19,17 @@ EdgeStatistics measure_edges(const TriangleMesh& mesh);
 // every spacing²/2 of area and at least one a face, mm. One side of the sampled Hausdorff distance.
 double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double spacing);
 
+// How well the sharp edges of one closed surface are sharp edges of another.
+struct CreaseFigures {
+  double length = 0;  // of edges sharper than the angle, mm
+  double kept = 1;    // share of it no farther than a quarter of the spacing from an edge of the other surface that is
+                      // sharper than 0.6 of the angle
+  double distance = 0;  // greatest from there to such an edge, mm; infinite where there is none
+};
+
+// angle: degrees between face normals. Both surfaces closed and oriented.
+CreaseFigures compare_creases(const TriangleMesh& from, const TriangleMesh& to, double angle, double spacing);
+
 // Distances from points to a surface, mm.
 std::vector<float> distances_to_surface(const VertexMatrix& points, const TriangleMesh& surface);
 

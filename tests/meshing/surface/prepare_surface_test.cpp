@@ -56,6 +56,42 @@ TEST(Prepare, KeepsSharpEdgesAndCorners) {
   EXPECT_NEAR(result.volume, 20 * 12 * 8, 1e-6);
 }
 
+// A ball with a pointed horn.
+TriangleMesh finger() {
+  TriangleMesh mesh = shapes::sphere(1, 5);
+  for (int v = 0; v < mesh.vertex_count(); ++v) {
+    const Vec3 p = mesh.vertex(v);
+    const double off = std::hypot(p.y(), p.z());
+    if (p.x() > 0) mesh.vertices(v, 0) += 1.5 * std::exp(-40 * off * off);
+  }
+  return mesh;
+}
+
+TEST(Prepare, KeepsExtremitiesFinerThanTheSpacing) {
+  for (const double spacing : {1.0, 0.7, 0.5, 0.3}) {
+    const PreparedSurface result = prepare_surface(finger(), {.size = 20, .spacing = spacing});
+    expect_sound(result.mesh);
+    EXPECT_LT(result.from_input, 0.3 * spacing) << spacing;
+    EXPECT_LT(result.to_input, 0.3 * spacing) << spacing;
+    EXPECT_NEAR(result.edges.mean, spacing, 0.03 * spacing) << spacing;
+    EXPECT_LT(result.edges.variation(), 0.15) << spacing;
+  }
+}
+
+TEST(Prepare, KeepsCreasesWhereTheyAre) {
+  // Creases straight and round, with corners and without.
+  TriangleMesh prism = shapes::double_cone(48, 6, 4, 4);
+  for (const TriangleMesh& shape : {shapes::rotated(shapes::box({20, 12, 8}), 3), shapes::rotated(prism, 5)}) {
+    const PreparedSurface result = prepare_surface(shape, {.size = 0, .spacing = 0.5});
+    EXPECT_GT(result.creases.length, 30);
+    EXPECT_EQ(result.creases.kept, 1);
+    EXPECT_LT(result.creases.distance, 0.1 * 0.5);
+    const PreparedSurface blunt = prepare_surface(shape, {.size = 0, .spacing = 0.5, .feature_angle = 180});
+    const CreaseFigures lost = compare_creases(shape, blunt.mesh, 45, 0.5);
+    EXPECT_GT(lost.distance, result.creases.distance);
+  }
+}
+
 TEST(Prepare, WithoutSizeKeepsUnits) {
   const PreparedSurface result =
       prepare_surface(shapes::moved(shapes::sphere(3, 4), {10, 20, 30}), {.size = 0, .spacing = 0.3});
