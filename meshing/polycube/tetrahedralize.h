@@ -7,7 +7,7 @@
 namespace shellgrid {
 
 struct TetrahedralizeOptions {
-  int proxy_faces = 20000;     // a heavier surface is simplified to about so many faces first
+  int proxy_faces = 60000;     // a heavier surface is simplified to about so many faces first
   double limit_seconds = 120;  // processor time of the mesher's process
 };
 
@@ -29,8 +29,9 @@ TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const Tetrahedr
 // The faces that belong to one tetrahedron only, facing outwards: a closed surface without unused points.
 TriangleMesh boundary_of(const TetrahedralMesh& mesh);
 
-// Simplifies a closed surface to about `faces` faces by quadric error, keeping its topology.
-// Source: [GarlandHeckbert1997].
+// Simplifies a closed surface to about `faces` faces by quadric error, keeping its topology: of a shape that needs
+// more to keep its faces' directions, more stay. Source: [GarlandHeckbert1997].
+// Throws: InputError for a surface that is open or not a manifold.
 TriangleMesh simplify_surface(const TriangleMesh& surface, int faces);
 
 }  // namespace shellgrid
