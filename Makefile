@@ -78,13 +78,16 @@ bench: build assets/meshes/bunny00.off
 	  plot="tests/benchmarks/$$name.gnuplot"; \
 	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot" || exit 1; fi; \
 	done
+	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/cost_charts.py assets/meshes/bunny00.off -o out/bench
 
-# LIMIT=n: the n smallest meshes only; ONLY='name name': these.
+# LIMIT=n: the n smallest meshes only; ONLY='name name': these. SG_LONG=1: also time and memory against nodes and voxels.
 geometry-report: programs
 	@out=$${OUT:-out/geometry-report}; folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 	  tar -xzf $(meshes) -C "$$folder" data/meshes && \
 	  SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/geometry_report.py -o "$$out" --nodes $(NODES) --least $(LIMIT) \
-	    --jobs $(if $(filter command,$(firstword $(origin JOBS))),$(JOBS),1) $(if $(ONLY),--only $(ONLY)) -- "$$folder/data/meshes" $${MESHES:+"$$MESHES"}
+	    --jobs $(if $(filter command,$(firstword $(origin JOBS))),$(JOBS),1) $(if $(ONLY),--only $(ONLY)) -- "$$folder/data/meshes" $${MESHES:+"$$MESHES"}; \
+	  code=$$?; [ -z "$$SG_LONG" ] || SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/cost_charts.py \
+	    "$$folder/data/meshes/bunny00.off" -o "$$out" || code=1; exit $$code
 
 docs: programs
 	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B pipeline/readme_tables.py README.md

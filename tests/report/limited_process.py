@@ -36,20 +36,22 @@ def run_limited(command, seconds=120, gibibytes=6.0):
         process = subprocess.Popen([str(word) for word in command], stdin=subprocess.DEVNULL, stdout=output, stderr=errors,
                                    preexec_fn=confine, start_new_session=True)
         late = False
-        while True:
-            pid, status, usage = os.wait4(process.pid, os.WNOHANG)
-            if pid:
-                break
-            if not late and time.monotonic() - started > seconds:
-                late = True
+        try:
+            while True:
+                pid, status, usage = os.wait4(process.pid, os.WNOHANG)
+                if pid:
+                    break
+                if not late and time.monotonic() - started > seconds:
+                    late = True
+                    os.killpg(process.pid, signal.SIGKILL)
+                time.sleep(0.005)
+            wall = time.monotonic() - started
+            process.returncode = os.waitstatus_to_exitcode(status)
+        finally:  # Whatever still runs of it, or where we are stopped ourselves.
+            try:
                 os.killpg(process.pid, signal.SIGKILL)
-            time.sleep(0.005)
-        wall = time.monotonic() - started
-        process.returncode = os.waitstatus_to_exitcode(status)
-        try:  # What it may have left running.
-            os.killpg(process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
+            except ProcessLookupError:
+                pass
         output.seek(0), errors.seek(0)
         printed = output.read().decode(errors="replace")
         said = errors.read().decode(errors="replace").strip().splitlines()
