@@ -75,7 +75,7 @@ class GeometryReport(unittest.TestCase):
                 file.write("#!/bin/sh\n%s\n" % fault)
             os.chmod(self.at("bin", "sg-prepare"), 0o755)
             # The description of the mesh is a program of ours, and slow under sanitizers.
-            done, rows = self.report("--seconds", 2 * SLOWNESS, "--gibibytes", 0.25 if SLOWNESS == 1 else 1 << 20,
+            done, rows = self.report("--seconds", 3 * SLOWNESS, "--gibibytes", 0.25 if SLOWNESS == 1 else 1 << 20,
                                      programs=self.at("bin"))
             if fate == "memory" and SLOWNESS > 1:
                 continue
