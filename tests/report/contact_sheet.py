@@ -215,8 +215,8 @@ def gather(rows, sheet):
     pictures = []
     for k, (name, verdict, path) in enumerate(rows):
         top = step * (len(rows) - k)
-        for column, text in enumerate(["%s: %s" % (name, verdict), "", "polygrid cut open: scaled Jacobian 0 red, 1 blue",
-                                       "its twenty worst cells"]):
+        for column, text in enumerate(["%s: %s" % (name, verdict), "", "cut open; scaled Jacobian: red 0, blue 1",
+                                       "the twenty worst cells"]):
             if text:
                 commands.append("set label %s at %d,%d noenhanced" % (quoted(text), column * WIDTH + 6, top - LABEL // 2))
         pictures.append("%s binary filetype=png origin=(0.5,%g) with rgbimage" % (quoted(path), top - step + 0.5))
