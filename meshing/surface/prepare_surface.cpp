@@ -18,6 +18,14 @@ double place(TriangleMesh& mesh, double size) {
   return scale;
 }
 
+// In the input's units.
+double rewrap_resolution(const TriangleMesh& input, const PrepareOptions& options) {
+  if (input.vertex_count() == 0) return 0;
+  const double length = (input.vertices.colwise().maxCoeff() - input.vertices.colwise().minCoeff()).maxCoeff();
+  if (options.rewrap_share > 0) return options.rewrap_share * length;
+  return options.size > 0 ? options.rewrap * length / options.size : options.rewrap;
+}
+
 // Whether a retiled mesh may take the place of its original; else adds where it crosses itself.
 bool accept(const TriangleMesh& retiled, const TriangleMesh& original, std::vector<Vec3>& crossings) {
   const SurfaceDefects defects = find_defects(retiled);
@@ -34,8 +42,18 @@ bool accept(const TriangleMesh& retiled, const TriangleMesh& original, std::vect
 
 PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions& options, Progress& progress) {
   PreparedSurface result;
-  TriangleMesh original = repair_surface(input, options.close_holes, result.repair, progress);
+  TriangleMesh original;
+  if (options.rewrap > 0 || options.rewrap_share > 0) {
+    original = rewrap_surface(input, rewrap_resolution(input, options), result.rewrap, progress);
+    if (result.rewrap.dropped_components > 0)
+      progress.warn(fmt::format("left out {} of the wrap's components, {:.2g} % of its volume",
+                                result.rewrap.dropped_components, 100 * result.rewrap.dropped_volume));
+  } else {
+    original = repair_surface(input, options.close_holes, result.repair, progress);
+  }
   result.scale = place(original, options.size);
+  for (double* length : {&result.rewrap.resolution, &result.rewrap.to_input, &result.rewrap.from_input})
+    *length *= result.scale;
   result.mesh = original;
   if (!options.retile && options.longest_edge > 0) result.mesh = subdivide_long_edges(original, options.longest_edge);
   if (options.retile) {

@@ -3,6 +3,7 @@
 #include "meshing/core/progress.h"
 #include "meshing/core/triangle_mesh.h"
 #include "meshing/surface/repair.h"
+#include "meshing/surface/rewrap.h"
 #include "meshing/surface/surface_quality.h"
 
 namespace shellgrid {
@@ -12,6 +13,9 @@ struct PrepareOptions {
   double spacing = 0.4;       // mean edge length of the retiled surface, mm
   double feature_angle = 45;  // degrees; see RetileOptions
   bool close_holes = false;
+  // Resolution of a wrap that takes the input's place, mm in the result, or as a share of the bounding box's longest
+  // edge; 0: none. See rewrap_surface.
+  double rewrap = 0, rewrap_share = 0;
   bool retile = true;
   double longest_edge = 0;  // of triangles that are not retiled: longer edges are split, mm; 0: none
 };
@@ -19,11 +23,12 @@ struct PrepareOptions {
 struct PreparedSurface {
   TriangleMesh mesh;  // closed, oriented, one component, centred on the origin
   RepairReport repair;
+  RewrapReport rewrap;  // lengths in mm of the result; resolution 0: not rewrapped
   EdgeStatistics edges;
   int genus = 0;
   double volume = 0;            // mm³
   double scale = 1;             // output length over input length
-  double to_input = 0;          // sampled distance from the result to the repaired input, mm
+  double to_input = 0;          // sampled distance from the result to the repaired input or the wrap, mm
   double from_input = 0;        // and back, mm
   CreaseFigures creases;        // of the repaired input, kept by the result
   int retiling_attempts = 0;    // 0: not retiled

@@ -324,25 +324,26 @@ void require_not_flat(const TriangleMesh& mesh) {
 }
 
 void refuse_defects(const TriangleMesh& mesh, const SurfaceDefects& defects, bool several_components,
-                    const char* advice) {
+                    const std::string& holes_advice, const std::string& advice) {
   if (defects.non_manifold_edges > 0)
-    throw InputError(fmt::format("{}, first at {}; expected two faces at every edge",
+    throw InputError(fmt::format("{}, first at {}; expected two faces at every edge{}",
                                  counted(defects.non_manifold_edges, "non-manifold edge", "non-manifold edges"),
-                                 at(defects.non_manifold_edge_at)));
+                                 at(defects.non_manifold_edge_at), advice));
   if (defects.boundary_edges > 0)
     throw InputError(fmt::format("{}, first at {}; expected a closed surface{}",
                                  counted(defects.boundary_edges, "boundary edge", "boundary edges"),
-                                 at(defects.boundary_at), advice));
+                                 at(defects.boundary_at), holes_advice));
   if (defects.misoriented_edges > 0)
-    throw InputError(fmt::format("{} between faces that look opposite ways, first at {}; expected an oriented surface",
-                                 counted(defects.misoriented_edges, "edge", "edges"), at(defects.misoriented_at)));
+    throw InputError(
+        fmt::format("{} between faces that look opposite ways, first at {}; expected an oriented surface{}",
+                    counted(defects.misoriented_edges, "edge", "edges"), at(defects.misoriented_at), advice));
   if (defects.non_manifold_vertices > 0)
-    throw InputError(fmt::format("{}, first at {}; expected one fan of faces at every vertex",
+    throw InputError(fmt::format("{}, first at {}; expected one fan of faces at every vertex{}",
                                  counted(defects.non_manifold_vertices, "non-manifold vertex", "non-manifold vertices"),
-                                 at(defects.non_manifold_vertex_at)));
+                                 at(defects.non_manifold_vertex_at), advice));
   if (defects.components > 1 && !several_components)
-    throw InputError(fmt::format("{} components, the second at {}; expected one connected surface", defects.components,
-                                 at(defects.second_component_at)));
+    throw InputError(fmt::format("{} components, the second at {}; expected one connected surface{}",
+                                 defects.components, at(defects.second_component_at), advice));
   require_not_flat(mesh);
 }
 
@@ -398,7 +399,8 @@ SurfaceDefects find_defects(const TriangleMesh& mesh) {
 
 void require_closed_surface(const TriangleMesh& mesh, bool several_components) {
   require_sound(mesh);
-  refuse_defects(mesh, find_defects(mesh), several_components, "; try sg-prepare --close-holes");
+  refuse_defects(mesh, find_defects(mesh), several_components, "; try sg-prepare --close-holes or --rewrap",
+                 "; try sg-prepare --rewrap");
   if (enclosed_volume(mesh) < 0) throw InputError("the mesh's faces look inward; try sg-prepare, which turns them");
 }
 
@@ -424,15 +426,18 @@ TriangleMesh repair_surface(const TriangleMesh& input, bool close_holes, RepairR
     const Vec3 extent = (mesh.vertices.colwise().maxCoeff() - mesh.vertices.colwise().minCoeff()).transpose();
     if (extent.minCoeff() <= 1e-12 * extent.maxCoeff()) require_not_flat(mesh);
   }
-  refuse_defects(mesh, defects, false, close_holes ? " after closing holes" : "; try --close-holes");
+  refuse_defects(mesh, defects, false,
+                 close_holes ? " after closing holes; try --rewrap" : "; try --close-holes or --rewrap",
+                 "; try --rewrap");
   for (int f = 0; f < mesh.face_count(); ++f)
     if (flat_corner(mesh, f) >= 0)
-      throw InputError(
-          fmt::format("a triangle without area that cannot be flipped away, at {}", at(mesh.corner(f, 0))));
+      throw InputError(fmt::format("a triangle without area that cannot be flipped away, at {}; try --rewrap",
+                                   at(mesh.corner(f, 0))));
   const SelfIntersections crossings = find_self_intersections(mesh);
   if (crossings.pairs > 0)
     throw InputError(
-        fmt::format("{} of triangles intersect, first at {}; expected a surface that does not cross itself",
+        fmt::format("{} of triangles intersect, first at {}; expected a surface that does not cross itself; "
+                    "try --rewrap",
                     counted(crossings.pairs, "pair", "pairs"), at(crossings.at)));
   return mesh;
 }

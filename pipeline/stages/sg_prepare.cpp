@@ -11,10 +11,29 @@
 
 using namespace shellgrid;
 
+namespace {
+
+// "0.5" is mm, "1%" a share of the length.
+void set_rewrap(PrepareOptions& options, const std::string& text) {
+  std::size_t used = 0;
+  double value = 0;
+  try {
+    value = std::stod(text, &used);
+  } catch (const std::exception&) {
+  }
+  const std::string unit = text.substr(used);
+  if (!(value > 0 && value < 1e9) || (unit != "" && unit != "%"))
+    throw UsageError("--rewrap " + text + ": expected a length in mm, or a share of the object's length as 1%");
+  (unit == "%" ? options.rewrap_share : options.rewrap) = unit == "%" ? value / 100 : value;
+}
+
+}  // namespace
+
 int main(int argc, char** argv) {
   std::string mesh_path;
   PrepareOptions options;
   bool no_retile = false;
+  std::string rewrap;
   StageProgram program("sg-prepare", "makes a closed, oriented, evenly tiled surface of any mesh");
   program.input("MESH", mesh_path, "mesh: .ply, .obj, .off or .stl");
   program.output("surface.ply", "the surface, centred on the origin");
@@ -23,13 +42,19 @@ int main(int argc, char** argv) {
   program.option("--feature-angle", options.feature_angle, "degrees",
                  "edges with a greater angle between their faces stay sharp; 180: none", 1, 180);
   program.flag("--close-holes", options.close_holes, "fill every hole instead of refusing an open mesh");
+  program.option(
+      "--rewrap", rewrap,
+      "wrap any heap of triangles, open, crossing or in parts, in a closed surface of this resolution: mm, or "
+      "a share of the object's length, as 1%");
   program.flag("--no-retile", no_retile, "repair, scale and centre only");
   program.option("--longest-edge", options.longest_edge, "mm",
                  "with --no-retile: longer edges are split, without a change of shape; 0: none", 0, 1e6);
   program.example("sg-prepare bunny.off -o surface.ply --size 80 --spacing 0.4", "a bunny 80 mm long, edges of 0.4 mm");
+  program.example("sg-prepare soup.stl -o surface.ply --size 80 --rewrap 1%", "whatever it is, closed");
   program.example("sg-prepare scan.obj -o surface.ply --size 80 --close-holes", "a scan that is open at the bottom");
   return program.run(argc, argv, [&](StageRun& run) {
     options.retile = !no_retile;
+    if (!rewrap.empty()) set_rewrap(options, rewrap);
     if (options.retile && options.longest_edge > 0) throw UsageError("--longest-edge needs --no-retile");
     run.start_timer("read");
     AttributedMesh input = read_mesh(mesh_path);
@@ -59,6 +84,10 @@ int main(int argc, char** argv) {
         {"crease_distance_voxels", surface.creases.length > 0 ? surface.creases.distance / voxel : 0.0},
         {"retiling_attempts", surface.retiling_attempts},
         {"kept_triangles", surface.kept_triangles},
+        {"rewrap_resolution_mm", surface.rewrap.resolution},
+        {"rewrap_to_input_mm", surface.rewrap.to_input},
+        {"rewrap_from_input_mm", surface.rewrap.from_input},
+        {"rewrap_dropped_components", surface.rewrap.dropped_components},
         {"merged_vertices", surface.repair.merged_vertices},
         {"dropped_faces", surface.repair.dropped_faces},
         {"flattened_faces", surface.repair.flattened_faces},

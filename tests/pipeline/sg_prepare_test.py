@@ -123,6 +123,28 @@ class Prepare(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertTrue(is_closed(read_ply(self.path("out.ply"))[1]))
 
+    def test_rewraps_what_it_refuses(self):
+        ball = programs.icosphere(3)
+        crossing = joined(programs.icosphere(3, centre=(0.7, 0, 0)), (ball[0], ball[1][40:]))
+        self.refused(crossing, "try --close-holes or --rewrap")
+        done = self.prepare(crossing, "--size", 20, "--spacing", 0.8, "--rewrap", "4%")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertTrue(is_closed(read_ply(self.path("out.ply"))[1]))
+        results = programs.record(self.path("out.ply"))["results"]
+        self.assertAlmostEqual(results["rewrap_resolution_mm"], 0.8, delta=0.02)
+        self.assertLess(results["rewrap_to_input_mm"], 0.8)
+        with open(self.path("out.ply"), "rb") as file:
+            first = file.read()
+        self.prepare(crossing, "--size", 20, "--spacing", 0.8, "--rewrap", "4%", "--threads", 1)
+        with open(self.path("out.ply"), "rb") as file:
+            self.assertEqual(first, file.read())
+
+    def test_refuses_a_rewrap_that_is_no_resolution(self):
+        for text in ("much", "-1", "2cm", "0"):
+            done = self.prepare(programs.icosphere(2), "--rewrap", text)
+            self.assertEqual(done.returncode, 2, done.stderr)
+        self.refused(programs.icosphere(2), "resolution", "--rewrap", "200%")
+
     def test_refuses_two_components(self):
         self.refused(joined(programs.icosphere(2), programs.icosphere(2, centre=(5, 0, 0))), "2 components, the second at (")
 

@@ -26,7 +26,7 @@ from limited_process import run_limited
 BIN = os.environ.get("SG_BIN", "build/bin")
 STAGES = ["prepare", "distance", "tetrahedralize", "polycube", "polygrid"]
 # What sg-prepare is asked for, until it accepts; an option that it does not have is left out.
-REPAIRS = ["", "--close-holes", "--rewrap"]
+REPAIRS = ["", "--close-holes", "--rewrap 1%"]
 SIZE = 80.0  # mm
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROWS = 10  # of a contact sheet
@@ -57,7 +57,7 @@ class Study:
         self.spacing = 0.5 * (1e5 / options.nodes) ** (1 / 3)
         programs = [self.program(stage) for stage in STAGES]
         known = run_limited([self.program("prepare"), "--help"], options.seconds, options.gibibytes).output
-        self.repairs = [repair for repair in REPAIRS if repair in known]
+        self.repairs = [repair for repair in REPAIRS if repair.split(" ")[0] in known]
         self.key = [fingerprint(path) for path in programs + sorted(glob.glob(os.path.join(HERE, "*.py")))]
         self.key += [options.nodes, options.seconds, options.gibibytes]
 
@@ -120,7 +120,7 @@ class Study:
 
         for repair in self.repairs:
             fate = stage("prepare", "surface.ply", path, "--size", SIZE, "--spacing", "%.4g" % self.spacing,
-                         *filter(None, [repair]))
+                         *repair.split())
             if fate != "refused":
                 break
         if fate != "ok":
