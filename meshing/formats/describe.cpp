@@ -175,6 +175,15 @@ Json describe_unstructured_grid(const std::string& path) {
   if (!grid.point_data.empty()) result["point_data"] = describe_arrays(grid.point_data);
   if (!grid.cell_data.empty()) result["cell_data"] = describe_arrays(grid.cell_data);
   if (!grid.field_data.empty()) result["field_data"] = describe_arrays(grid.field_data);
+  for (std::size_t l = 0; l < grid.levels.size(); ++l) {
+    Json& level = result["hierarchy"][fmt::format("level {}", l + 1)];
+    for (const DataArray& array : grid.levels[l]) {
+      const auto rows = std::visit([](const auto& v) { return v.size(); }, array.values) / array.columns;
+      if (array.name == "interior") level["nodes"] = rows;
+      if (array.name == "boundary") level["boundary_nodes"] = rows;
+      if (array.name == "parent") level["children"] = rows;
+    }
+  }
   return result;
 }
 

@@ -71,6 +71,68 @@ void check_indices(const std::string& path, const std::string& name, const std::
       throw InputError(fmt::format("{}: the array {} holds {}, which is out of range", path, name, index));
 }
 
+// A graph's arrays. Of the finest level they stand among the fields, with `graph_` in front.
+std::vector<DataArray> graph_arrays(const PolygridGraph& graph, const std::string& prefix) {
+  return {array_of<double>(prefix + "interior", graph.interior),
+          array_of<double>(prefix + "boundary", graph.boundary),
+          array_of<double>(prefix + "boundary_normal", graph.boundary_normal),
+          {prefix + "boundary_owner", 1, graph.boundary_owner},
+          {prefix + "boundary_distance", 1, graph.boundary_distance},
+          array_of<std::int32_t>(prefix + "links", graph.links),
+          array_of<double>(prefix + "weights", graph.weights),
+          {prefix + "weight_condition", 1, graph.weight_condition}};
+}
+
+const DataArray* find_array(const std::vector<DataArray>& arrays, const std::string& name) {
+  for (const DataArray& array : arrays)
+    if (array.name == name) return &array;
+  return nullptr;
+}
+
+std::size_t row_count(const DataArray* array, int columns) {
+  if (array == nullptr) return 0;
+  return std::visit([&](const auto& v) { return v.size() / static_cast<std::size_t>(columns); }, array->values);
+}
+
+PolygridGraph graph_of(const std::string& path, const std::vector<DataArray>& arrays, const std::string& prefix) {
+  const auto field = [&]<class T>(T, const std::string& name, int columns, std::size_t rows) -> const std::vector<T>& {
+    return values_of<T>(path, find_array(arrays, prefix + name), prefix + name, columns, rows);
+  };
+  PolygridGraph graph;
+  const std::size_t interior = row_count(find_array(arrays, prefix + "interior"), 3);
+  const std::size_t boundary = row_count(find_array(arrays, prefix + "boundary"), 3);
+  graph.interior = matrix_of<VertexMatrix>(field(double{}, "interior", 3, interior));
+  graph.boundary = matrix_of<VertexMatrix>(field(double{}, "boundary", 3, boundary));
+  graph.boundary_normal = matrix_of<VertexMatrix>(field(double{}, "boundary_normal", 3, boundary));
+  graph.boundary_owner = field(std::int32_t{}, "boundary_owner", 1, boundary);
+  graph.boundary_distance = field(double{}, "boundary_distance", 1, boundary);
+  const std::vector<std::int32_t>& links = field(std::int32_t{}, "links", 6, interior);
+  graph.links = matrix_of<decltype(graph.links)>(links);
+  graph.weights = matrix_of<decltype(graph.weights)>(field(double{}, "weights", 6, interior));
+  graph.weight_condition = field(double{}, "weight_condition", 1, interior);
+  check_indices(path, prefix + "boundary_owner", graph.boundary_owner, 0, static_cast<std::int64_t>(interior));
+  check_indices(path, prefix + "links", links, -static_cast<std::int64_t>(boundary),
+                static_cast<std::int64_t>(interior));
+  return graph;
+}
+
+// The next coarser level of a graph with so many nodes.
+PolygridLevel level_of(const std::string& path, const std::vector<DataArray>& arrays, const PolygridGraph& finer) {
+  PolygridLevel level;
+  level.graph = graph_of(path, arrays, "");
+  const auto nodes = static_cast<std::size_t>(level.graph.interior.rows());
+  const auto array = [&](const std::string& name, int columns, std::size_t rows) -> const std::vector<std::int32_t>& {
+    return values_of<std::int32_t>(path, find_array(arrays, name), name, columns, rows);
+  };
+  level.lattice = matrix_of<decltype(level.lattice)>(array("lattice", 3, nodes));
+  level.parent = array("parent", 1, static_cast<std::size_t>(finer.interior.rows()));
+  level.boundary_parent = array("boundary_parent", 1, finer.boundary_owner.size());
+  check_indices(path, "parent", level.parent, 0, static_cast<std::int64_t>(nodes));
+  check_indices(path, "boundary_parent", level.boundary_parent, -1,
+                static_cast<std::int64_t>(level.graph.boundary_owner.size()));
+  return level;
+}
+
 }  // namespace
 
 void write_tetrahedra(const std::string& path, const TetrahedralMesh& mesh) {
@@ -93,20 +155,18 @@ void write_polygrid(const std::string& path, const Polygrid& polygrid) {
   grid.points = polygrid.points;
   grid.offsets = {0};
   append_cells(grid, polygrid.cells, vtk_hexahedron);
-  const PolygridGraph& graph = polygrid.graph;
   grid.point_data = {array_of<std::int32_t>("lattice", polygrid.point_lattice),
                      {"outer_twin", 1, polygrid.outer_twin},
                      array_of<double>("normal", polygrid.point_normal)};
   grid.cell_data = {{"layer", 1, polygrid.cell_layer}, array_of<std::int32_t>("cell_lattice", polygrid.cell_lattice)};
-  grid.field_data = {array_of<std::int32_t>("boundary_quads", polygrid.boundary_quads),
-                     array_of<double>("graph_interior", graph.interior),
-                     array_of<double>("graph_boundary", graph.boundary),
-                     array_of<double>("graph_boundary_normal", graph.boundary_normal),
-                     {"graph_boundary_owner", 1, graph.boundary_owner},
-                     {"graph_boundary_distance", 1, graph.boundary_distance},
-                     array_of<std::int32_t>("graph_links", graph.links),
-                     array_of<double>("graph_weights", graph.weights),
-                     {"graph_weight_condition", 1, graph.weight_condition}};
+  grid.field_data = graph_arrays(polygrid.graph, "graph_");
+  grid.field_data.insert(grid.field_data.begin(), array_of<std::int32_t>("boundary_quads", polygrid.boundary_quads));
+  for (const PolygridLevel& level : polygrid.hierarchy) {
+    grid.levels.push_back(graph_arrays(level.graph, ""));
+    grid.levels.back().push_back(array_of<std::int32_t>("lattice", level.lattice));
+    grid.levels.back().push_back({"parent", 1, level.parent});
+    grid.levels.back().push_back({"boundary_parent", 1, level.boundary_parent});
+  }
   grid.attributes["spacing"] = polygrid.spacing;
   write_vtkhdf(path, grid);
 }
@@ -117,14 +177,6 @@ Polygrid read_polygrid(const std::string& path) {
   if (grid.types.empty()) throw InputError(path + ": the file holds no cells");
   const auto points = static_cast<std::size_t>(grid.points.rows());
   const std::size_t cells = grid.types.size();
-  const auto field_rows = [&](const std::string& name, int columns) {
-    const DataArray* array = grid.find_field(name);
-    if (array == nullptr) return std::size_t{0};
-    return std::visit([&](const auto& v) { return v.size() / static_cast<std::size_t>(columns); }, array->values);
-  };
-  const auto field = [&]<class T>(T, const std::string& name, int columns, std::size_t rows) -> const std::vector<T>& {
-    return values_of<T>(path, grid.find_field(name), name, columns, rows);
-  };
   Polygrid polygrid;
   polygrid.points = grid.points;
   polygrid.cells = cells_of<HexMatrix>(path, grid, 0, cells, vtk_hexahedron);
@@ -136,30 +188,23 @@ Polygrid read_polygrid(const std::string& path) {
   polygrid.outer_twin = values_of<std::int32_t>(path, grid.find_point("outer_twin"), "outer_twin", 1, points);
   polygrid.point_normal =
       matrix_of<VertexMatrix>(values_of<double>(path, grid.find_point("normal"), "normal", 3, points));
-  polygrid.boundary_quads =
-      matrix_of<QuadMatrix>(field(std::int32_t{}, "boundary_quads", 4, field_rows("boundary_quads", 4)));
+  const DataArray* quads = grid.find_field("boundary_quads");
+  const std::vector<std::int32_t>& quad_points =
+      values_of<std::int32_t>(path, quads, "boundary_quads", 4, row_count(quads, 4));
+  polygrid.boundary_quads = matrix_of<QuadMatrix>(quad_points);
   const auto spacing = grid.attributes.find("spacing");
   if (spacing == grid.attributes.end()) throw InputError(path + ": not a polygrid: the array spacing is missing");
   polygrid.spacing = spacing->second;
 
-  PolygridGraph& graph = polygrid.graph;
-  const std::size_t interior = field_rows("graph_interior", 3), boundary = field_rows("graph_boundary", 3);
-  graph.interior = matrix_of<VertexMatrix>(field(double{}, "graph_interior", 3, interior));
-  graph.boundary = matrix_of<VertexMatrix>(field(double{}, "graph_boundary", 3, boundary));
-  graph.boundary_normal = matrix_of<VertexMatrix>(field(double{}, "graph_boundary_normal", 3, boundary));
-  graph.boundary_owner = field(std::int32_t{}, "graph_boundary_owner", 1, boundary);
-  graph.boundary_distance = field(double{}, "graph_boundary_distance", 1, boundary);
-  const std::vector<std::int32_t>& links = field(std::int32_t{}, "graph_links", 6, interior);
-  graph.links = matrix_of<decltype(graph.links)>(links);
-  graph.weights = matrix_of<decltype(graph.weights)>(field(double{}, "graph_weights", 6, interior));
-  graph.weight_condition = field(double{}, "graph_weight_condition", 1, interior);
+  polygrid.graph = graph_of(path, grid.field_data, "graph_");
+  for (const std::vector<DataArray>& arrays : grid.levels)
+    polygrid.hierarchy.push_back(
+        level_of(fmt::format("{}: hierarchy/{}", path, polygrid.hierarchy.size() + 1), arrays,
+                 polygrid.hierarchy.empty() ? polygrid.graph : polygrid.hierarchy.back().graph));
 
   const auto signed_points = static_cast<std::int64_t>(points);
   check_indices(path, "outer_twin", polygrid.outer_twin, -1, signed_points);
-  check_indices(path, "boundary_quads", field(std::int32_t{}, "boundary_quads", 4, field_rows("boundary_quads", 4)), 0,
-                signed_points);
-  check_indices(path, "graph_boundary_owner", graph.boundary_owner, 0, static_cast<std::int64_t>(interior));
-  check_indices(path, "graph_links", links, -static_cast<std::int64_t>(boundary), static_cast<std::int64_t>(interior));
+  check_indices(path, "boundary_quads", quad_points, 0, signed_points);
   return polygrid;
 }
 

@@ -156,12 +156,13 @@ void check_lengths(const std::string& path, const UnstructuredGrid& grid) {
   if (!grid.points.allFinite()) fail("a point has a coordinate that is not finite");
 }
 
+hid_t make_group(hid_t parent, const std::string& name) {
+  const Handle options(H5Pcreate(H5P_GROUP_CREATE), H5Pclose, name);
+  check(H5Pset_obj_track_times(options, false), name);
+  return H5Gcreate2(parent, name.c_str(), H5P_DEFAULT, options, H5P_DEFAULT);
+}
+
 void write_root(hid_t file, const UnstructuredGrid& grid) {
-  const Handle group_options(H5Pcreate(H5P_GROUP_CREATE), H5Pclose, "VTKHDF");
-  check(H5Pset_obj_track_times(group_options, false), "VTKHDF");
-  const auto make_group = [&](hid_t parent, const char* name) {
-    return H5Gcreate2(parent, name, H5P_DEFAULT, group_options, H5P_DEFAULT);
-  };
   const Handle root(make_group(file, "VTKHDF"), H5Gclose, "VTKHDF");
   {
     const std::array<std::int64_t, 2> version{1, 0};
@@ -200,6 +201,15 @@ void write_root(hid_t file, const UnstructuredGrid& grid) {
   for (const auto& [name, value] : grid.attributes) write_dataset(field_data, name, &value, {1});
 }
 
+void write_levels(hid_t file, const UnstructuredGrid& grid) {
+  if (grid.levels.empty()) return;
+  const Handle hierarchy(make_group(file, "hierarchy"), H5Gclose, "hierarchy");
+  for (std::size_t l = 0; l < grid.levels.size(); ++l) {
+    const Handle level(make_group(hierarchy, std::to_string(l + 1)), H5Gclose, "hierarchy");
+    for (const DataArray& array : grid.levels[l]) write_array(level, array, false);
+  }
+}
+
 // The whole file as bytes: made in memory, so that a full disk is met by our own writing.
 std::string encode(const UnstructuredGrid& grid) {
   const Session session;
@@ -209,6 +219,7 @@ std::string encode(const UnstructuredGrid& grid) {
   check(H5Pset_obj_track_times(creation, false), "file");
   const Handle file(H5Fcreate("memory.hdf", H5F_ACC_TRUNC, creation, access), H5Fclose, "file");
   write_root(file, grid);
+  write_levels(file, grid);
   check(H5Fflush(file, H5F_SCOPE_GLOBAL), "file");
   const ssize_t bytes = H5Fget_file_image(file, nullptr, 0);
   if (bytes <= 0) throw InternalError("HDF5: no image of the file");
@@ -373,6 +384,11 @@ UnstructuredGrid parse(const std::string& path) {
   grid.point_data = read_arrays(path, root, "PointData", nullptr);
   grid.cell_data = read_arrays(path, root, "CellData", nullptr);
   grid.field_data = read_arrays(path, root, "FieldData", &grid.attributes);
+  if (H5Lexists(file, "hierarchy", H5P_DEFAULT) > 0) {
+    const Handle hierarchy(H5Gopen2(file, "hierarchy", H5P_DEFAULT), H5Gclose, path + ": hierarchy is not a group");
+    for (int l = 1; l <= 64 && H5Lexists(hierarchy, std::to_string(l).c_str(), H5P_DEFAULT) > 0; ++l)
+      grid.levels.push_back(read_arrays(path, hierarchy, std::to_string(l).c_str(), nullptr));
+  }
   check_lengths(path, grid);
   return grid;
 }

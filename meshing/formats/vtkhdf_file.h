@@ -30,6 +30,8 @@ struct UnstructuredGrid {
   std::vector<std::uint8_t> types;         // m: 10 tetrahedron, 12 hexahedron, 9 quadrilateral
   std::vector<DataArray> point_data, cell_data, field_data;
   std::map<std::string, double> attributes;  // scalars in the file's FieldData group, as arrays of one
+  // Arrays of the groups `hierarchy/1`, `hierarchy/2`, … beside VTKHDF, where VTK does not look.
+  std::vector<std::vector<DataArray>> levels;
 
   const DataArray* find_point(const std::string& name) const;
   const DataArray* find_cell(const std::string& name) const;

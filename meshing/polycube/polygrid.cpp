@@ -181,6 +181,7 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
     polygrid.boundary_quads.row(q) << layered.layer[q][4], layered.layer[q][5], layered.layer[q][7],
         layered.layer[q][6];
   build_graph(polygrid, core, target, scale, polycube.origin);
+  polygrid.hierarchy = build_hierarchy(polygrid);
   return polygrid;
 }
 

@@ -16,36 +16,13 @@ using Key = std::array<std::int32_t, 4>;
 
 constexpr std::size_t grain = 1024;
 
-bool before(const Key& a, const Key& b) {
-  return std::array{a[2], a[1], a[0], a[3]} < std::array{b[2], b[1], b[0], b[3]};
-}
-
-int floor_half(int x) { return x >> 1; }
-
-// Coarse lattice points that a lattice point is interpolated from: 1, 2, 4 or 8, equally.
-int parents(const Key& key, std::array<Key, 8>& result) {
-  int count = 1;
-  result[0] = {floor_half(key[0]), floor_half(key[1]), floor_half(key[2]), key[3]};
-  for (int axis = 0; axis < 3; ++axis) {
-    if ((key[axis] & 1) == 0) continue;
-    for (int k = 0; k < count; ++k) {
-      result[count + k] = result[k];
-      ++result[count + k][axis];
-    }
-    count *= 2;
-  }
-  return count;
-}
-
-std::int32_t find_key(const std::vector<Key>& keys, const Key& key) {
-  const auto at = std::lower_bound(keys.begin(), keys.end(), key, before);
-  return at != keys.end() && *at == key ? static_cast<std::int32_t>(at - keys.begin()) : -1;
-}
-
 // Slot of a coarse neighbour among 3×3×3 offsets × {inner, outer}.
 int slot_of(const Key& from, const Key& to) {
   return (((to[2] - from[2] + 1) * 3 + (to[1] - from[1] + 1)) * 3 + (to[0] - from[0] + 1)) * 2 + to[3];
 }
+
+// Of one of `count` parents, a power of two.
+float equal_share(std::int64_t count) { return 1.0f / static_cast<float>(count); }
 
 std::string number_text(double value) {
   char text[32];
@@ -128,48 +105,27 @@ void Multigrid::prepare_smoother(Level& level) const {
       grain);
 }
 
-bool Multigrid::coarsen() {
+void Multigrid::coarsen(const UnknownTransfer& transfer) {
   Level& fine = levels_.back();
   const std::size_t n = fine.key.size();
-  // Coarse unknowns: every parent of a fine one, once.
+  fine.prolongation = transfer;
   Level coarse;
-  std::array<Key, 8> own;
-  coarse.key.reserve(2 * n);
-  for (const Key& key : fine.key) {
-    const int count = parents(key, own);
-    coarse.key.insert(coarse.key.end(), own.begin(), own.begin() + count);
-  }
-  std::sort(coarse.key.begin(), coarse.key.end(), before);
-  coarse.key.erase(std::unique(coarse.key.begin(), coarse.key.end()), coarse.key.end());
+  coarse.key = std::move(fine.prolongation.key);
   const std::size_t m = coarse.key.size();
-  if (m * 10 > n * 9) return false;
+  const UnknownTransfer& p = fine.prolongation;
 
-  Transfer& p = fine.prolongation;
-  p.start.assign(n + 1, 0);
-  for (std::size_t i = 0; i < n; ++i) p.start[i + 1] = p.start[i] + parents(fine.key[i], own);
-  p.index.resize(p.start[n]);
-  p.weight.resize(p.start[n]);
-  parallel_for(n, [&](std::size_t i) {
-    std::array<Key, 8> around;
-    const int count = parents(fine.key[i], around);
-    for (int k = 0; k < count; ++k) {
-      p.index[p.start[i] + k] = find_key(coarse.key, around[k]);
-      p.weight[p.start[i] + k] = 1.0f / static_cast<float>(count);
-    }
-  });
-
-  Transfer& r = fine.restriction;
+  Restriction& r = fine.restriction;
   r.start.assign(m + 1, 0);
-  for (std::int32_t parent : p.index) ++r.start[parent + 1];
+  for (std::int32_t parent : p.parent) ++r.start[parent + 1];
   std::partial_sum(r.start.begin(), r.start.end(), r.start.begin());
-  r.index.resize(p.index.size());
-  r.weight.resize(p.index.size());
+  r.index.resize(p.parent.size());
+  r.weight.resize(p.parent.size());
   std::vector<std::int64_t> next(r.start.begin(), r.start.end() - 1);
   for (std::size_t i = 0; i < n; ++i)
     for (std::int64_t k = p.start[i]; k < p.start[i + 1]; ++k) {
-      const std::int64_t at = next[p.index[k]]++;
+      const std::int64_t at = next[p.parent[k]]++;
       r.index[at] = static_cast<std::int32_t>(i);
-      r.weight[at] = p.weight[k];
+      r.weight[at] = equal_share(p.start[i + 1] - p.start[i]);
     }
 
   // Galerkin product of the couplings, a coarse row at a time; neighbours differ by at most one lattice step.
@@ -183,10 +139,13 @@ bool Multigrid::coarsen() {
   coarse.own.reaction.resize(m);
   parallel_chunks(m, chunk, [&](std::size_t begin, std::size_t end) {
     Rows& rows = parts[begin / chunk];
+    // Neighbours at one place with others, where parts of the object that nearly touch come apart.
+    std::vector<std::pair<std::int32_t, Float4>> further;
     for (std::size_t row = begin; row < end; ++row) {
       std::array<Float4, 54> sum{};
       std::array<std::int32_t, 54> column;
       column.fill(-1);
+      further.clear();
       Float4 reaction = {};
       for (std::int64_t q = r.start[row]; q < r.start[row + 1]; ++q) {
         const std::int32_t i = r.index[q];
@@ -194,11 +153,18 @@ bool Multigrid::coarsen() {
         reaction += weight * a.reaction[i];
         Float4 total = {};
         auto spread = [&](std::int32_t j, Float4 value) {
+          const Float4 part = equal_share(p.start[j + 1] - p.start[j]) * value;
           for (std::int64_t k = p.start[j]; k < p.start[j + 1]; ++k) {
-            const std::int32_t other = p.index[k];
+            const std::int32_t other = p.parent[k];
             const int slot = slot_of(coarse.key[row], coarse.key[other]);
-            column[slot] = other;
-            sum[slot] += p.weight[k] * value;
+            if (column[slot] < 0) column[slot] = other;
+            if (column[slot] == other) {
+              sum[slot] += part;
+              continue;
+            }
+            auto at = std::find_if(further.begin(), further.end(), [&](const auto& f) { return f.first == other; });
+            if (at == further.end()) at = further.insert(at, {other, Float4{}});
+            at->second += part;
           }
         };
         for (std::int64_t k = a.row_start[i]; k < a.row_start[i + 1]; ++k) {
@@ -215,6 +181,12 @@ bool Multigrid::coarsen() {
         rows.coupling.push_back(sum[slot]);
         ++length;
       }
+      for (const auto& [other, value] : further) {
+        if (other == static_cast<std::int32_t>(row)) continue;
+        rows.column.push_back(other);
+        rows.coupling.push_back(value);
+        ++length;
+      }
       rows.length.push_back(length);
       coarse.own.reaction[row] = reaction;
     }
@@ -226,7 +198,6 @@ bool Multigrid::coarsen() {
     coarse.own.coupling.insert(coarse.own.coupling.end(), rows.coupling.begin(), rows.coupling.end());
   }
   levels_.push_back(std::move(coarse));
-  return true;
 }
 
 void Multigrid::prepare_coarsest() {
@@ -260,13 +231,17 @@ void Multigrid::prepare_coarsest() {
 }
 
 Multigrid::Multigrid(const PolygridSystem& system, const MultigridParameters& parameters) : parameters_(parameters) {
-  levels_.reserve(40);
+  levels_.reserve(system.transfers.size() + 1);
   finest_ = single_precision(system.matrix);
   levels_.emplace_back();
   levels_.back().key = system.key;
   levels_.back().matrix = &finest_;
   prepare_smoother(levels_.back());
-  while (levels_.back().key.size() > parameters_.coarsest_size && levels_.size() < 39 && coarsen()) {
+  for (const UnknownTransfer& transfer : system.transfers) {
+    if (levels_.back().key.size() <= parameters_.coarsest_size ||
+        transfer.key.size() * 10 > levels_.back().key.size() * 9)
+      break;
+    coarsen(transfer);
     levels_.back().matrix = &levels_.back().own;
     prepare_smoother(levels_.back());
   }
@@ -356,10 +331,10 @@ void Multigrid::cycle(std::size_t index) {
   parallel_for(
       level.x.size(),
       [&](std::size_t i) {
+        const UnknownTransfer& p = level.prolongation;
         Float4 sum = {};
-        for (std::int64_t k = level.prolongation.start[i]; k < level.prolongation.start[i + 1]; ++k)
-          sum += level.prolongation.weight[k] * coarse.x[level.prolongation.index[k]];
-        level.x[i] += sum;
+        for (std::int64_t k = p.start[i]; k < p.start[i + 1]; ++k) sum += coarse.x[p.parent[k]];
+        level.x[i] += equal_share(p.start[i + 1] - p.start[i]) * sum;
       },
       4 * grain);
   smooth(level, false);

@@ -21,9 +21,10 @@ struct MultigridParameters {
 
 // One V-cycle as an approximate inverse, three channels at once, in single precision.
 //
-// Coarse unknowns stand at the lattice points floor(p/2) and ceil(p/2); a fine unknown takes their
-// trilinear mean. Outer points keep unknowns of their own, interpolated as their inner twins are. The
-// coarse operators are the Galerkin products of the couplings; reactions are lumped.
+// Its levels are the polygrid's hierarchy, seen from the corners of the cells: a fine unknown takes the trilinear mean
+// of the corners of its cell's parent, so that parts that nearly touch share no coarse unknown. Outer points keep
+// unknowns of their own, interpolated as their inner twins are. The coarse operators are the Galerkin products of the
+// couplings; reactions are lumped.
 class Multigrid {
  public:
   explicit Multigrid(const PolygridSystem& system, const MultigridParameters& parameters = {});
@@ -43,7 +44,7 @@ class Multigrid {
     std::vector<Float4> coupling;
     std::vector<Float4> reaction;
   };
-  struct Transfer {
+  struct Restriction {
     std::vector<std::int64_t> start;
     std::vector<std::int32_t> index;
     std::vector<float> weight;
@@ -56,14 +57,15 @@ class Multigrid {
     std::vector<std::array<std::int32_t, 4>> key;
     std::vector<std::int32_t> partner;  // the twin's unknown, or the own one
     std::vector<Float4> inverse_own, inverse_partner;
-    Transfer prolongation, restriction;  // to and from the next coarser level
+    UnknownTransfer prolongation;  // from the next coarser level
+    Restriction restriction;       // to it
     std::vector<Float4> x, right_side, residual, step;
   };
 
   static Operator single_precision(const CouplingOperator& matrix);
   void prepare_smoother(Level& level) const;
-  // Appends the next coarser level; false where it would not be smaller.
-  bool coarsen();
+  // Appends the next coarser level.
+  void coarsen(const UnknownTransfer& transfer);
   void prepare_coarsest();
   void smooth(Level& level, bool from_zero) const;
   void residual(Level& level) const;

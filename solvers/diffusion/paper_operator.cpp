@@ -86,7 +86,7 @@ struct ChannelSolution {
   std::vector<double> history;
 };
 
-ChannelSolution solve_bicgstab(const ChannelSystem& system, const PaperProblem& problem) {
+ChannelSolution solve_bicgstab(const ChannelSystem& system, const PaperProblem& problem, const Eigen::VectorXd& start) {
   Eigen::BiCGSTAB<SparseMatrix, Eigen::IncompleteLUT<double>> solver;
   solver.preconditioner().setDroptol(1e-3);
   solver.preconditioner().setFillfactor(4);
@@ -95,17 +95,17 @@ ChannelSolution solve_bicgstab(const ChannelSystem& system, const PaperProblem& 
   solver.compute(system.matrix);
   ChannelSolution solution;
   if (solver.info() != Eigen::Success) throw NumericalError("paper's operator: incomplete factorisation failed");
-  solution.psi = solver.solve(system.light);
+  solution.psi = solver.solveWithGuess(system.light, start);
   solution.iterations = static_cast<int>(solver.iterations());
   return solution;
 }
 
 // Source: [Diffusion §5.2], the update of the radiance buffer.
-ChannelSolution relax(const ChannelSystem& system, const PaperProblem& problem) {
+ChannelSolution relax(const ChannelSystem& system, const PaperProblem& problem, const Eigen::VectorXd& start) {
   ChannelSolution solution;
   const Eigen::VectorXd inverse_diagonal = system.matrix.diagonal().cwiseInverse();
   const double size = system.light.norm();
-  solution.psi = Eigen::VectorXd::Zero(system.light.size());
+  solution.psi = start;
   for (; solution.iterations < problem.most_iterations; ++solution.iterations) {
     const Eigen::VectorXd residual = system.light - system.matrix * solution.psi;
     const double relative = residual.norm() / size;
@@ -117,12 +117,41 @@ ChannelSolution relax(const ChannelSystem& system, const PaperProblem& problem) 
   return solution;
 }
 
+// The same problem on the next coarser level. Source: [Diffusion §5.3].
+PaperProblem coarsen(const PaperProblem& problem, const PolygridLevel& level) {
+  const auto nodes = static_cast<std::size_t>(level.graph.interior.rows());
+  const std::size_t boundary = level.graph.boundary_owner.size();
+  const Rgb zero = Rgb::Zero();
+  PaperProblem coarse = problem;
+  coarse.diffusion = average_children(level.parent, nodes, problem.diffusion, zero);
+  coarse.absorption = average_children(level.parent, nodes, problem.absorption, zero);
+  coarse.boundary_diffusion = average_children(level.boundary_parent, boundary, problem.boundary_diffusion, zero);
+  coarse.boundary_light = average_children(level.boundary_parent, boundary, problem.boundary_light, zero);
+  return coarse;
+}
+
 }  // namespace
 
-PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProblem& problem) {
+PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProblem& problem,
+                                   std::span<const PolygridLevel> levels) {
   check(graph, problem);
   const Eigen::Index n = graph.interior.rows(), b = graph.boundary.rows();
   PaperSolution result;
+  std::vector<Rgb> start(n, Rgb::Zero());
+  if (!levels.empty()) {
+    const PolygridLevel& level = levels.front();
+    if (static_cast<Eigen::Index>(level.parent.size()) != n ||
+        static_cast<Eigen::Index>(level.boundary_parent.size()) != b)
+      throw InputError("polygrid: its hierarchy does not match its graph");
+    try {
+      PaperSolution coarse = solve_paper_operator(level.graph, coarsen(problem, level), levels.subspan(1));
+      for (Eigen::Index i = 0; i < n; ++i) start[i] = coarse.interior[level.parent[i]];
+      result.coarse_iterations = std::move(coarse.coarse_iterations);
+      result.coarse_iterations.push_back(coarse.iterations);
+    } catch (const NumericalError&) {
+      // A level too coarse for the paper's operator gives no start.
+    }
+  }
   result.interior.assign(n, Rgb::Zero());
   result.boundary.assign(b, Rgb::Zero());
   ChannelSolution channels[3];
@@ -136,7 +165,10 @@ PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProble
         if (size == 0) {
           solution.psi = Eigen::VectorXd::Zero(n);
         } else {
-          solution = problem.method == PaperMethod::bicgstab ? solve_bicgstab(system, problem) : relax(system, problem);
+          Eigen::VectorXd psi(n);
+          for (Eigen::Index i = 0; i < n; ++i) psi[i] = problem.diffusion[i][c] * start[i][c];
+          solution = problem.method == PaperMethod::bicgstab ? solve_bicgstab(system, problem, psi)
+                                                             : relax(system, problem, psi);
           solution.residual = (system.light - system.matrix * solution.psi).norm() / size;
         }
         for (Eigen::Index i = 0; i < n; ++i)

@@ -185,12 +185,15 @@ PointFields solve_paper(const Polygrid& polygrid, const CellCoefficients& coeffi
     for (int a = 0; a < 4; ++a) light += irradiance[polygrid.boundary_quads(k, a)] / 4;
     problem.boundary_light.push_back(light);
   }
-  const PaperSolution solution = solve_paper_operator(polygrid.graph, problem);
+  const PaperSolution solution = solve_paper_operator(polygrid.graph, problem, polygrid.hierarchy);
   result.solve.iterations = solution.iterations;
   result.solve.tolerance = problem.tolerance;
   result.solve.residual_history = solution.residual_history;
   result.solve.estimated_error = solution.residual;
   result.solve.unknowns = static_cast<std::size_t>(cores);
+  result.solve.level_sizes = {static_cast<std::size_t>(cores)};
+  for (const PolygridLevel& level : polygrid.hierarchy)
+    result.solve.level_sizes.push_back(static_cast<std::size_t>(level.graph.interior.rows()));
 
   // Cells' and quads' values averaged to their corners.
   const std::size_t n = static_cast<std::size_t>(polygrid.points.rows());

@@ -9,6 +9,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
+#include "meshing/polycube/polygrid_hierarchy.h"
 #include "solvers/diffusion/trilinear_cell.h"
 #include "solvers/scattering/fresnel.h"
 
@@ -163,6 +164,56 @@ void order_unknowns(const Polygrid& polygrid, PolygridSystem& system) {
   }
 }
 
+// The polygrid's transfers between points, for unknowns: an outer point's parents stand above its twin's.
+std::vector<UnknownTransfer> transfer_unknowns(const Polygrid& polygrid, const PolygridSystem& system) {
+  std::vector<UnknownTransfer> transfers;
+  // Of the present level: each unknown's inner point and whether it is outer.
+  struct Unknown {
+    std::int32_t point;
+    bool outer;
+  };
+  std::vector<Unknown> unknowns;
+  for (const std::int32_t point : system.point_of_unknown) {
+    const std::int32_t twin = polygrid.outer_twin[point];
+    unknowns.push_back({twin >= 0 ? twin : point, twin >= 0});
+  }
+  for (const PointTransfer& points : point_transfers(polygrid)) {
+    UnknownTransfer transfer;
+    transfer.start.push_back(0);
+    std::vector<char> has_outer(points.coarse_lattice.size(), 0);
+    for (const Unknown& u : unknowns) {
+      if (points.start[u.point + 1] == points.start[u.point])
+        throw InputError("polygrid: a point belongs to no core cell, or an outer point's twin is outer itself");
+      transfer.start.push_back(transfer.start.back() + points.start[u.point + 1] - points.start[u.point]);
+      for (std::int64_t k = points.start[u.point]; u.outer && k < points.start[u.point + 1]; ++k)
+        has_outer[points.parent[k]] = 1;
+    }
+    std::vector<std::int32_t> number(points.coarse_lattice.size());
+    std::vector<Unknown> coarse;
+    for (std::size_t p = 0; p < number.size(); ++p) {
+      number[p] = static_cast<std::int32_t>(coarse.size());
+      const Vec3i& at = points.coarse_lattice[p];
+      for (int outer = 0; outer <= has_outer[p]; ++outer) {
+        coarse.push_back({static_cast<std::int32_t>(p), outer == 1});
+        transfer.key.push_back({at.x(), at.y(), at.z(), outer});
+      }
+    }
+    transfer.parent.resize(transfer.start.back());
+    parallel_for(
+        unknowns.size(),
+        [&](std::size_t i) {
+          const Unknown& u = unknowns[i];
+          std::int64_t at = transfer.start[i];
+          for (std::int64_t k = points.start[u.point]; k < points.start[u.point + 1]; ++k)
+            transfer.parent[at++] = number[points.parent[k]] + (u.outer ? 1 : 0);
+        },
+        2048);
+    transfers.push_back(std::move(transfer));
+    unknowns = std::move(coarse);
+  }
+  return transfers;
+}
+
 // Adds the elements' couplings up, row by row; a row's sum does not depend on threads, and A_ij = A_ji bit by bit.
 void gather_rows(const Polygrid& polygrid, const std::vector<ElementTerms>& elements, PolygridSystem& system) {
   const Incidence incidence = point_cells(polygrid);
@@ -278,6 +329,7 @@ PolygridSystem assemble_polygrid_system(const Polygrid& polygrid, const CellCoef
   });
 
   order_unknowns(polygrid, system);
+  system.transfers = transfer_unknowns(polygrid, system);
   gather_rows(polygrid, elements, system);
   add_boundary_areas(polygrid, system);
   system.matrix.reaction = system.absorption;

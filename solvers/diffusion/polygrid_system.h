@@ -25,12 +25,21 @@ struct CouplingOperator {
   void apply(const std::vector<Double4>& x, std::vector<Double4>& result) const;
 };
 
+// Where the unknowns of one level take their values from on the next coarser one: the polygrid's hierarchy, seen from
+// the corners of its cells. Outer points have coarse points of their own above those that their twins take.
+struct UnknownTransfer {
+  std::vector<std::int64_t> start;               // fine unknowns + 1
+  std::vector<std::int32_t> parent;              // coarse unknowns whose equal mean a fine one takes: 1, 2, 4 or 8
+  std::vector<std::array<std::int32_t, 4>> key;  // of the coarse unknowns: place on their lattice, and 1 for outer ones
+};
+
 // Discretisation of D1 and D2 by trilinear elements.
 struct PolygridSystem {
   CouplingOperator matrix;
   // Unknowns are the polygrid's points in the order of their lattice coordinates, an inner point before its twin.
   std::vector<std::int32_t> point_of_unknown, unknown_of_point;
   std::vector<std::array<std::int32_t, 4>> key;  // lattice x, y, z, and 0 for an inner point, 1 for an outer one
+  std::vector<UnknownTransfer> transfers;        // finest first
   std::vector<Double4> absorption;               // n: ∫ σ_a h_i dV, mm²
   std::vector<double> boundary_area;             // n: ∫ h_i dA over the boundary quads, mm²; 0 off the surface
   double boundary_factor = 1;                    // C

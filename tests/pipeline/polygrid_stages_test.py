@@ -75,6 +75,34 @@ class PolygridStages(unittest.TestCase):
         radius = numpy.hypot(numpy.hypot(points[outer, 0], points[outer, 1]) - 2, points[outer, 2])
         self.assertLess(numpy.abs(radius - 0.8).max(), 0.03)
 
+    def test_the_hierarchy_in_the_file_holds_the_means_of_children(self):
+        self.chain(torus())
+        with h5py.File(self.at("polygrid.hdf")) as file:
+            fine = file["VTKHDF/FieldData/graph_interior"][:]
+            lattice = file["VTKHDF/CellData/cell_lattice"][:][:len(fine)]
+            self.assertGreaterEqual(len(file["hierarchy"]), 3)
+            for level in range(1, 1 + len(file["hierarchy"])):
+                group = file["hierarchy/%d" % level]
+                parent, coarse = group["parent"][:], group["interior"][:]
+                self.assertEqual(len(parent), len(fine))
+                children = numpy.bincount(parent, minlength=len(coarse))
+                self.assertGreaterEqual(children.min(), 1)
+                if level == 1:
+                    self.assertLessEqual(children.max(), 8)
+                    # On the lattice a ring is cut by few windows into two parts.
+                    windows = len(numpy.unique(lattice // 2, axis=0))
+                    self.assertLessEqual(windows, len(coarse))
+                    self.assertLess(len(coarse), 1.1 * windows)
+                mean = numpy.stack([numpy.bincount(parent, fine[:, k]) for k in range(3)], 1) / children[:, None]
+                self.assertLess(numpy.abs(mean - coarse).max(), 1e-9)
+                self.assertTrue((group["lattice"][:][parent] == lattice // 2).all())
+                self.assertTrue(numpy.isfinite(group["weights"][:]).all())
+                fine, lattice = coarse, group["lattice"][:]
+        self.ok("describe", self.at("polygrid.hdf"), "--level", 2, "-o", self.at("level2.ply"))
+        self.assertGreater(os.path.getsize(self.at("level2.ply")), 1000)
+        self.refused(3, "there is no level 60", "describe", self.at("polygrid.hdf"), "--level", 60, "-o",
+                     self.at("level60.ply"))
+
     def test_same_bytes_twice_and_at_other_thread_counts(self):
         with workplace() as other:
             self.chain(icosphere(2), nodes=3000, threads=1)

@@ -141,6 +141,39 @@ TEST(VtkhdfFile, PolygridRoundTrip) {
   EXPECT_EQ(read.graph.weight_condition, p.graph.weight_condition);
 }
 
+TEST(VtkhdfFile, ThePolygridsHierarchyComesBackAndStandsBesideVtk) {
+  const TemporaryFolder folder;
+  Polygrid p = one_cell();
+  PolygridLevel level;
+  level.graph = p.graph;
+  level.graph.interior << 4, 5, 1.0 / 3;
+  level.lattice.resize(1, 3);
+  level.lattice << -1, 0, 7;
+  level.parent = {0};
+  level.boundary_parent = {0, 1, 2, 3, -1, 5};
+  p.hierarchy = {level, level};
+  p.hierarchy[1].parent = {0};
+  write_polygrid(folder / "p.hdf", p);
+  EXPECT_EQ(read_vtkhdf(folder / "p.hdf").find_field("lattice"), nullptr);
+  const Polygrid read = read_polygrid(folder / "p.hdf");
+  ASSERT_EQ(read.hierarchy.size(), 2u);
+  for (int l = 0; l < 2; ++l) {
+    EXPECT_EQ(read.hierarchy[l].graph.interior, p.hierarchy[l].graph.interior);
+    EXPECT_EQ(read.hierarchy[l].graph.links, p.hierarchy[l].graph.links);
+    EXPECT_EQ(read.hierarchy[l].graph.weights, p.hierarchy[l].graph.weights);
+    EXPECT_EQ(read.hierarchy[l].lattice, p.hierarchy[l].lattice);
+    EXPECT_EQ(read.hierarchy[l].parent, p.hierarchy[l].parent);
+    EXPECT_EQ(read.hierarchy[l].boundary_parent, p.hierarchy[l].boundary_parent);
+  }
+  p.hierarchy[1].parent = {1};
+  write_polygrid(folder / "p.hdf", p);
+  EXPECT_NE(input_error_of([&] { read_polygrid(folder / "p.hdf"); }).find("hierarchy/2: the array parent holds 1"),
+            std::string::npos);
+  p.hierarchy[1].parent = {0, 0};
+  write_polygrid(folder / "p.hdf", p);
+  EXPECT_NE(input_error_of([&] { read_polygrid(folder / "p.hdf"); }).find("expected 1×1"), std::string::npos);
+}
+
 TEST(VtkhdfFile, PolygridIndicesAreChecked) {
   const TemporaryFolder folder;
   Polygrid p = one_cell();

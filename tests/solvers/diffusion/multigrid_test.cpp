@@ -7,6 +7,7 @@
 
 #include "meshing/core/error.h"
 #include "tests/support/diffusion_problem.h"
+#include "tests/support/lattice_polygrid.h"
 
 namespace shellgrid {
 namespace {
@@ -38,6 +39,19 @@ TEST(Multigrid, ConvergesWithoutAbsorptionAndWithStrong) {
 
 TEST(Multigrid, ConvergesAtContrastsToAMillion) {
   for (double contrast : {1e2, 1e4, 1e6}) EXPECT_LE(iterations(16, 0.1, {0.01, 1}, contrast), 18) << contrast;
+}
+
+TEST(Multigrid, PartsThatNearlyTouchDoNotSlowIt) {
+  // Plates of two cells, a cell apart, of which every other one is lit.
+  const Polygrid grid = test::lattice_polygrid(test::comb(8, 2, 32, 6), 1);
+  const auto p = test::solve_problem(
+      grid, homogeneous_coefficients(grid, test::grey_material({0.001, 1})), 1.5,
+      [](const Vec3& at) {
+        const bool lit = static_cast<int>(at.x() + 0.2) / 3 % 2 == 0;
+        return Double4{lit ? 1.0 : 0.0, 1, 0, 0};
+      },
+      1e-6);
+  EXPECT_LE(p.report.iterations, 7);
 }
 
 TEST(Multigrid, TheEstimatedErrorBoundsTheTrueOne) {

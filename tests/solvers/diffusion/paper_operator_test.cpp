@@ -84,6 +84,32 @@ TEST(PaperOperator, ItsRelaxationReachesTheSameSolution) {
     ASSERT_NEAR(fast.interior[i][1], slow.interior[i][1], 1e-4 * fast.interior[i][1]);
 }
 
+TEST(PaperOperator, TheHierarchyGivesTheSameSolutionInFewerSteps) {
+  Polygrid grid = test::cube_grid(16, edge, 0.1);
+  test::add_cube_graph(grid, 16, edge);
+  grid.graph.boundary_normal = VertexMatrix::Constant(grid.graph.boundary.rows(), 3, 1);
+  grid.hierarchy = build_hierarchy(grid);
+  PaperProblem problem = paper_problem(grid, 0.05, 0.5);
+  problem.tolerance = 1e-4;
+  for (const PaperMethod method : {PaperMethod::bicgstab, PaperMethod::relaxation}) {
+    problem.method = method;
+    const PaperSolution plain = solve_paper_operator(grid.graph, problem);
+    const PaperSolution nested = solve_paper_operator(grid.graph, problem, grid.hierarchy);
+    EXPECT_LE(nested.iterations, plain.iterations);
+    if (method == PaperMethod::relaxation) EXPECT_LT(nested.iterations, 0.7 * plain.iterations);
+    EXPECT_EQ(nested.coarse_iterations.size(), grid.hierarchy.size());
+    double difference = 0, size = 0;
+    for (std::size_t i = 0; i < plain.interior.size(); ++i) {
+      difference += (plain.interior[i] - nested.interior[i]).square().sum();
+      size += plain.interior[i].square().sum();
+    }
+    EXPECT_LT(std::sqrt(difference / size), 2e-2);
+  }
+  std::vector<PolygridLevel> broken = grid.hierarchy;
+  broken[0].parent.pop_back();
+  EXPECT_THROW(solve_paper_operator(grid.graph, problem, broken), InputError);
+}
+
 TEST(PaperOperator, SaysWhenItDoesNotConvergeAndRefusesBrokenGraphs) {
   Polygrid grid = test::cube_grid(6, edge, 0.1);
   test::add_cube_graph(grid, 6, edge);
