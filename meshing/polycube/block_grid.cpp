@@ -21,6 +21,12 @@ bool connected_through_faces(int window) {
   return reached == window;
 }
 
+// From a block of the interior to the six that share a face with it.
+std::array<std::ptrdiff_t, 6> index_steps(const BlockGrid& grid) {
+  const std::ptrdiff_t row = grid.size.x(), layer = row * grid.size.y();
+  return {-1, 1, -row, row, -layer, layer};
+}
+
 struct WindowFacts {
   std::array<bool, 256> well_composed, visible;
   std::array<std::uint8_t, 256> valence;
@@ -52,7 +58,6 @@ struct SurfaceCells {
   std::array<unsigned, 27> touching{};    // blocks around, the own one left out, whose closure holds the cell
   std::array<unsigned, 27> neighbours{};  // cells of which one lies in the other's closure
   unsigned edges = 0;
-  int window_bit[8][8];  // of the eight blocks around each vertex
 
   SurfaceCells() {
     const auto coordinate = [](int cell, int axis) { return cell / (axis == 0 ? 1 : axis == 1 ? 3 : 9) % 3 - 1; };
@@ -73,10 +78,6 @@ struct SurfaceCells {
         if (closes(a, b) || closes(b, a)) neighbours[a] |= 1u << b;
       }
     }
-    for (int corner = 0; corner < 8; ++corner)
-      for (int k = 0; k < 8; ++k)
-        window_bit[corner][k] =
-            ((corner & 1) + (k & 1)) + 3 * ((corner >> 1 & 1) + (k >> 1 & 1)) + 9 * ((corner >> 2) + (k >> 2));
   }
 };
 
@@ -95,6 +96,12 @@ std::size_t BlockGrid::count() const {
 
 int window_at(const BlockGrid& grid, const Vec3i& corner) {
   int window = 0;
+  if ((corner.array() >= 1).all() && (corner.array() < grid.size.array()).all()) {
+    const std::size_t row = grid.size.x(), layer = row * grid.size.y();
+    const std::uint8_t* first = &grid.filled[grid.index(corner - Vec3i::Ones())];
+    for (int k = 0; k < 8; ++k) window |= (first[(k & 1) + (k >> 1 & 1) * row + (k >> 2) * layer] ? 1 : 0) << k;
+    return window;
+  }
   for (int k = 0; k < 8; ++k)
     if (grid.at(corner - Vec3i::Ones() + Vec3i(k & 1, k >> 1 & 1, k >> 2))) window |= 1 << k;
   return window;
@@ -112,14 +119,16 @@ bool is_simple_flip(const BlockGrid& grid, const Vec3i& block) {
   return is_simple_flip(around);
 }
 
+int window_of(unsigned around, int corner) {
+  const unsigned from = around >> ((corner & 1) + 3 * (corner >> 1 & 1) + 9 * (corner >> 2));
+  return static_cast<int>((from & 3u) | (from >> 3 & 3u) << 2 | (from >> 9 & 3u) << 4 | (from >> 12 & 3u) << 6);
+}
+
 bool is_simple_flip(unsigned around) {
   const SurfaceCells& cells = surface_cells();
   const unsigned flipped = around ^ (1u << 13);
-  for (int corner = 0; corner < 8; ++corner) {
-    int window = 0;
-    for (int k = 0; k < 8; ++k) window |= static_cast<int>(flipped >> cells.window_bit[corner][k] & 1u) << k;
-    if (!is_well_composed(window)) return false;
-  }
+  for (int corner = 0; corner < 8; ++corner)
+    if (!is_well_composed(window_of(flipped, corner))) return false;
   around &= ~(1u << 13);
   unsigned touched = 0;
   for (int cell = 0; cell < 27; ++cell)
@@ -150,6 +159,7 @@ long boundary_euler_characteristic(const BlockGrid& grid) {
 }
 
 void keep_largest_component(BlockGrid& grid) {
+  const std::array<std::ptrdiff_t, 6> steps = index_steps(grid);
   std::vector<int> label(grid.filled.size(), 0);
   std::vector<std::size_t> stack;
   int labels = 0, best = 0;
@@ -161,14 +171,11 @@ void keep_largest_component(BlockGrid& grid) {
     label[seed] = labels;
     stack.push_back(seed);
     while (!stack.empty()) {
-      const Vec3i b = grid.place(stack.back());
+      const std::size_t b = stack.back();
       stack.pop_back();
       ++size;
-      for (const Vec3i& d : face_directions) {
-        if (!grid.contains(b + d)) continue;
-        const std::size_t next = grid.index(b + d);
-        if (grid.filled[next] && !label[next]) label[next] = labels, stack.push_back(next);
-      }
+      for (std::ptrdiff_t step : steps)
+        if (grid.filled[b + step] && !label[b + step]) label[b + step] = labels, stack.push_back(b + step);
     }
     if (size > best_size) best_size = size, best = labels;
   }
@@ -176,17 +183,28 @@ void keep_largest_component(BlockGrid& grid) {
 }
 
 void fill_cavities(BlockGrid& grid) {
+  const std::array<std::ptrdiff_t, 6> steps = index_steps(grid);
   std::vector<std::uint8_t> outside(grid.filled.size(), 0);
-  std::vector<std::size_t> stack = {0};
-  outside[0] = 1;
-  while (!stack.empty()) {
-    const Vec3i b = grid.place(stack.back());
-    stack.pop_back();
-    for (const Vec3i& d : face_directions) {
-      if (!grid.contains(b + d)) continue;
-      const std::size_t next = grid.index(b + d);
-      if (!grid.filled[next] && !outside[next]) outside[next] = 1, stack.push_back(next);
+  std::vector<std::size_t> stack;
+  // The outermost layer is outside, so that steps from within never leave the window.
+  for (int k = 0; k < grid.size.z(); ++k)
+    for (int j = 0; j < grid.size.y(); ++j) {
+      const bool inner_row = k > 0 && k < grid.size.z() - 1 && j > 0 && j < grid.size.y() - 1;
+      for (int i = 0; i < grid.size.x(); i += inner_row && i == 0 ? std::max(1, grid.size.x() - 1) : 1)
+        outside[grid.index(i, j, k)] = 1;
     }
+  const auto visit = [&](std::size_t b) {
+    if (!grid.filled[b] && !outside[b]) outside[b] = 1, stack.push_back(b);
+  };
+  for (std::size_t b = 0; b < outside.size(); ++b) {
+    const Vec3i place = grid.place(b);
+    if (!grid.may_fill(place)) continue;
+    if ((place.array() == 1).any() || (place.array() == grid.size.array() - 2).any()) visit(b);
+  }
+  while (!stack.empty()) {
+    const std::size_t b = stack.back();
+    stack.pop_back();
+    for (std::ptrdiff_t step : steps) visit(b + step);
   }
   for (std::size_t b = 0; b < outside.size(); ++b)
     if (!outside[b]) grid.filled[b] = 1;

@@ -34,6 +34,9 @@ struct BlockGrid {
 // block corner − 1 + (k & 1, k >> 1 & 1, k >> 2).
 int window_at(const BlockGrid& grid, const Vec3i& corner);
 
+// The window at one of the eight corners (bit per axis) of the middle one of 27 blocks, bit x + 3y + 9z.
+int window_of(unsigned around, int corner);
+
 // Whether the boundary of the union is a manifold at a lattice point with these eight blocks: filled and
 // empty blocks are each connected through faces. Source: [Latecki1997] well-composed sets.
 bool is_well_composed(int window);

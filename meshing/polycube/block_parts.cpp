@@ -9,79 +9,45 @@ namespace shellgrid {
 namespace {
 
 constexpr int edge = BlockParts::samples_per_block;
-constexpr int stride[3] = {1, 4, 16};
-// Samples that have a neighbour towards + x, + y, + z in the same block.
-constexpr std::uint64_t has_next[3] = {0x7777777777777777u, 0x0fff0fff0fff0fffu, 0x0000ffffffffffffu};
-
-struct BlockMasks {
-  std::uint64_t inside = 0;
-  std::uint64_t open[3] = {0, 0, 0};  // inside, and towards + the axis the surface does not pass
-};
-
-BlockMasks masks_of(const SampleRaster& raster, const Vec3i& base) {
-  BlockMasks masks;
-  for (int k = 0; k < edge; ++k)
-    for (int j = 0; j < edge; ++j)
-      for (int i = 0; i < edge; ++i) {
-        const std::uint8_t flags = raster.at(base + Vec3i(i, j, k));
-        const std::uint64_t bit = std::uint64_t{1} << (i + 4 * j + 16 * k);
-        if (!(flags & SampleRaster::inside_bit)) continue;
-        masks.inside |= bit;
-        for (int axis = 0; axis < 3; ++axis)
-          if (!(flags >> axis & 1)) masks.open[axis] |= bit;
-      }
-  return masks;
-}
-
-std::uint64_t largest_part(const BlockMasks& masks) {
-  std::uint64_t largest = 0;
-  for (std::uint64_t rest = masks.inside; rest;) {
-    std::uint64_t part = rest & (~rest + 1);
-    for (;;) {
-      std::uint64_t next = part;
-      for (int axis = 0; axis < 3; ++axis) {
-        const std::uint64_t passable = masks.open[axis] & has_next[axis];
-        next |= (part & passable) << stride[axis];
-        next |= part >> stride[axis] & passable;
-      }
-      next &= masks.inside;
-      if (next == part) break;
-      part = next;
-    }
-    if (__builtin_popcountll(part) > __builtin_popcountll(largest)) largest = part;
-    rest &= ~part;
-  }
-  return largest;
-}
 
 }  // namespace
 
-BlockParts::BlockParts(const SampleRaster& raster, const Vec3i& shift, const Vec3i& counts)
+BlockParts::BlockParts(const SampleRaster& raster, const BlockMasks& masks, const Vec3i& shift, const Vec3i& counts)
     : raster_(raster),
       shift_(shift),
       size_(counts),
       main_(static_cast<std::size_t>(counts.x()) * counts.y() * counts.z(), 0),
       parted_(main_.size(), 0) {
   const BlockGrid shape(counts);
-  std::vector<BlockMasks> masks(main_.size());
-  parallel_for(main_.size(), [&](std::size_t b) {
-    masks[b] = masks_of(raster, shift_ + edge * shape.place(b));
-    main_[b] = largest_part(masks[b]);
-  });
-  parallel_for(main_.size(), [&](std::size_t b) {
-    const Vec3i block = shape.place(b);
-    for (int axis = 0; axis < 3; ++axis) {
-      const Vec3i next = block + Vec3i::Unit(axis);
-      if (next[axis] >= size_[axis] || main_[b] == 0 || main_[index(next)] == 0) continue;
-      // Through the face between them, or around.
-      const int across = (edge - 1) * stride[axis];
-      const std::uint64_t leaving = main_[b] & masks[b].open[axis] & ~has_next[axis];
-      if (leaving >> across & main_[index(next)]) continue;
-      Vec3i low = block - Vec3i::Ones(), high = next + Vec3i::Ones();
-      low[axis] = block[axis], high[axis] = next[axis];
-      if (!are_connected(block, next, low, high)) parted_[b] |= 1 << axis;
-    }
-  });
+  fraction_.assign(main_.size(), 0);
+  parallel_for(
+      main_.size(),
+      [&](std::size_t b) {
+        const BlockMask mask = masks.at(shift_ + edge * shape.place(b));
+        if (!mask.inside) return;
+        fraction_[b] = static_cast<float>(__builtin_popcountll(mask.inside)) / (edge * edge * edge);
+        main_[b] = mask.largest_piece(mask.inside);
+      },
+      1024);
+  parallel_for(
+      main_.size(),
+      [&](std::size_t b) {
+        if (main_[b] == 0) return;
+        const Vec3i block = shape.place(b);
+        const BlockMask mask = masks.at(shift_ + edge * block);
+        for (int axis = 0; axis < 3; ++axis) {
+          const Vec3i next = block + Vec3i::Unit(axis);
+          if (next[axis] >= size_[axis] || main_[index(next)] == 0) continue;
+          // Through the face between them, or around.
+          const int across = (edge - 1) * BlockMask::stride[axis];
+          const std::uint64_t leaving = mask.open(main_[b], axis) & ~BlockMask::has_next[axis];
+          if (leaving >> across & main_[index(next)]) continue;
+          Vec3i low = block - Vec3i::Ones(), high = next + Vec3i::Ones();
+          low[axis] = block[axis], high[axis] = next[axis];
+          if (!are_connected(block, next, low, high)) parted_[b] |= 1 << axis;
+        }
+      },
+      1024);
 }
 
 bool BlockParts::are_connected(const Vec3i& a, const Vec3i& b, const Vec3i& low, const Vec3i& high) const {

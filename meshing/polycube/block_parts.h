@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "meshing/polycube/block_grid.h"
+#include "meshing/polycube/block_masks.h"
 #include "meshing/polycube/sample_raster.h"
 
 namespace shellgrid {
@@ -14,10 +15,13 @@ namespace shellgrid {
 // filling both would join what is apart, like two fingers that nearly touch.
 class BlockParts {
  public:
-  static constexpr int samples_per_block = 4;  // along each axis
+  static constexpr int samples_per_block = BlockMask::samples_per_block;
 
   // Blocks of 4×4×4 samples, block (0, 0, 0) beginning at sample `shift`.
-  BlockParts(const SampleRaster& raster, const Vec3i& shift, const Vec3i& counts);
+  BlockParts(const SampleRaster& raster, const BlockMasks& masks, const Vec3i& shift, const Vec3i& counts);
+
+  // Part of each block's samples that lie inside, indexed as in BlockGrid.
+  const std::vector<float>& fractions() const { return fraction_; }
 
   // Whether the block and its neighbour towards + `axis` are parted. Blocks without samples are parted from none.
   bool are_parted(const Vec3i& block, int axis) const { return parted_[index(block)] >> axis & 1; }
@@ -35,7 +39,8 @@ class BlockParts {
 
   const SampleRaster& raster_;
   Vec3i shift_, size_;
-  std::vector<Mask> main_;            // each block's largest connected set of samples
+  std::vector<Mask> main_;  // each block's largest connected set of samples
+  std::vector<float> fraction_;
   std::vector<std::uint8_t> parted_;  // bit per axis
 };
 

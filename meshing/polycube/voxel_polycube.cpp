@@ -10,8 +10,10 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/core/random.h"
+#include "meshing/polycube/block_cover.h"
 #include "meshing/polycube/block_parts.h"
 #include "meshing/polycube/sample_raster.h"
+#include "meshing/polycube/stair_annealing.h"
 #include "meshing/polycube/target_surface.h"
 #include "meshing/surface/repair.h"
 
@@ -19,42 +21,16 @@ namespace shellgrid {
 namespace {
 
 constexpr int samples_per_block = BlockParts::samples_per_block;
-constexpr int samples_in_block = samples_per_block * samples_per_block * samples_per_block;
-
-// Blocks of the sample raster, shifted by whole samples.
-struct Fractions {
-  BlockGrid shape;              // only its size
-  Vec3i shift = Vec3i::Zero();  // samples
-  BlockParts parts;
-  std::vector<float> volume;  // per block: part of the samples inside
-};
-
-Fractions block_fractions(const SampleRaster& raster, const Vec3i& shift, const Vec3i& counts) {
-  Fractions result{BlockGrid(counts), shift, BlockParts(raster, shift, counts), {}};
-  result.volume.assign(result.shape.filled.size(), 0);
-  parallel_for(
-      result.volume.size(),
-      [&](std::size_t b) {
-        const Vec3i base = shift + samples_per_block * result.shape.place(b);
-        int inside = 0;
-        for (int i = 0; i < samples_per_block; ++i)
-          for (int j = 0; j < samples_per_block; ++j)
-            for (int k = 0; k < samples_per_block; ++k) inside += raster.inside(base + Vec3i(i, j, k));
-        result.volume[b] = static_cast<float>(inside) / samples_in_block;
-      },
-      1024);
-  return result;
-}
 
 // Empties blocks until none joins parts of the object that are apart, the emptier one of two.
-void part_blocks(BlockGrid& grid, const Fractions& fractions) {
+void part_blocks(BlockGrid& grid, const BlockParts& parts) {
   for (std::size_t b = 0; b < grid.filled.size(); ++b) {
     const Vec3i block = grid.place(b);
     for (int axis = 0; axis < 3; ++axis) {
       const Vec3i next = block + Vec3i::Unit(axis);
-      if (!grid.filled[b] || !grid.at(next) || !fractions.parts.are_parted(block, axis)) continue;
+      if (!grid.filled[b] || !grid.at(next) || !parts.are_parted(block, axis)) continue;
       const std::size_t n = grid.index(next);
-      grid.filled[fractions.volume[b] < fractions.volume[n] ? b : n] = 0;
+      grid.filled[parts.fractions()[b] < parts.fractions()[n] ? b : n] = 0;
     }
   }
 }
@@ -67,7 +43,7 @@ std::size_t count_joints(const BlockGrid& grid, const BlockParts& parts) {
 }
 
 // Fills blocks until the boundary is a manifold: monotone, so it ends.
-void fill_to_manifold(BlockGrid& grid, const std::vector<float>& fraction, const BlockParts& parts) {
+void fill_to_manifold(BlockGrid& grid, const BlockParts& parts) {
   for (;;) {
     fill_cavities(grid);
     bool changed = false;
@@ -85,7 +61,7 @@ void fill_to_manifold(BlockGrid& grid, const std::vector<float>& fraction, const
               for (int axis = 0; axis < 3; ++axis)
                 for (int side : {-1, 1}) faces += grid.at(block + side * Vec3i::Unit(axis));
               const double score = (faces > 0 ? 4 : 0) + (is_simple_flip(grid, block) ? 2 : 0) +
-                                   fraction[grid.index(block)] + (parts.joins_parts(grid, block) ? 0 : 8);
+                                   parts.fractions()[grid.index(block)] + (parts.joins_parts(grid, block) ? 0 : 8);
               if (score > best_score) best_score = score, best = block;
             }
             if (best_score < 0) throw InternalError("voxel polycube: a window cannot be mended");
@@ -99,7 +75,7 @@ void fill_to_manifold(BlockGrid& grid, const std::vector<float>& fraction, const
 
 // Distance of a place (in blocks, block (i, j, k) being the unit cube at (i, j, k)) to the nearest filled
 // block, looking no farther than `limit`.
-double distance_to_filled(const BlockGrid& grid, const Vec3& place, double limit, const Vec3i* left_out = nullptr) {
+double distance_to_filled(const BlockGrid& grid, const Vec3& place, double limit) {
   const Vec3i home = place.array().floor().cast<int>().matrix();
   double best2 = limit * limit;
   for (int ring = 0; (ring == 0 || (ring - 1) * (ring - 1) < best2) && ring <= limit + 1; ++ring)
@@ -108,7 +84,7 @@ double distance_to_filled(const BlockGrid& grid, const Vec3& place, double limit
         for (int di = -ring; di <= ring;
              di += (std::abs(dk) == ring || std::abs(dj) == ring || ring == 0) ? 1 : 2 * ring) {
           const Vec3i block = home + Vec3i(di, dj, dk);
-          if (!grid.at(block) || (left_out && block == *left_out)) continue;
+          if (!grid.at(block)) continue;
           const Vec3 low = block.cast<double>();
           const double d2 = (low - place).cwiseMax(place - low - Vec3::Ones()).cwiseMax(Vec3::Zero()).squaredNorm();
           best2 = std::min(best2, d2);
@@ -129,106 +105,59 @@ Coverage coverage(const BlockGrid& grid, const std::vector<Vec3>& places) {
   return {distance[static_cast<std::size_t>(0.99 * static_cast<double>(distance.size() - 1))], distance.back()};
 }
 
-// The farthest inside sample of a block from filled blocks other than this one, in blocks.
-double uncovered_depth(const BlockGrid& grid, const SampleRaster& raster, const Vec3i& shift, const Vec3i& block) {
-  double farthest = 0;
-  for (int n = 0; n < samples_in_block; ++n) {
-    const Vec3i local(n % samples_per_block, n / samples_per_block % samples_per_block,
-                      n / samples_per_block / samples_per_block);
-    if (!raster.inside(shift + samples_per_block * block + local)) continue;
-    const Vec3 place = block.cast<double>() + (local.cast<double>() + Vec3::Constant(0.5)) / samples_per_block;
-    farthest = std::max(farthest, distance_to_filled(grid, place, 2, &block));
-  }
-  return farthest;
-}
-
-// Fills simple blocks where the object sticks out by more than half a block.
-void grow_into_extremities(BlockGrid& grid, const SampleRaster& raster, const Fractions& fractions) {
-  std::vector<std::size_t> candidates;
-  for (std::size_t b = 0; b < grid.filled.size(); ++b)
-    if (fractions.volume[b] >= 0.06f && grid.may_fill(grid.place(b))) candidates.push_back(b);
-  std::stable_sort(candidates.begin(), candidates.end(),
-                   [&](std::size_t a, std::size_t b) { return fractions.volume[a] > fractions.volume[b]; });
+// Fills simple blocks where the object sticks out.
+void grow_into_extremities(BlockGrid& grid, const BlockParts& parts, BlockCover& cover) {
+  const std::vector<float>& fraction = parts.fractions();
   for (bool grew = true; grew;) {
     grew = false;
+    std::vector<std::size_t> candidates = cover.helpful_blocks();
+    std::stable_sort(candidates.begin(), candidates.end(),
+                     [&](std::size_t a, std::size_t b) { return fraction[a] > fraction[b]; });
     for (std::size_t b : candidates) {
       const Vec3i block = grid.place(b);
-      if (grid.filled[b] || !is_simple_flip(grid, block)) continue;
-      if (fractions.parts.joins_parts(grid, block)) continue;
-      if (uncovered_depth(grid, raster, fractions.shift, block) <= 0.5) continue;
+      if (grid.filled[b] || fraction[b] < 0.06f || !grid.may_fill(block) || !cover.would_help(b)) continue;
+      if (!is_simple_flip(grid, block) || parts.joins_parts(grid, block)) continue;
       grid.filled[b] = 1;
+      cover.add(b);
       grew = true;
     }
   }
 }
 
-// Cost of the boundary's shape around one block: singular edges and half the excess valence of corners.
-double shape_cost(unsigned around) {
-  double cost = 0;
-  for (int corner = 0; corner < 8; ++corner) {
-    int window = 0;
-    for (int k = 0; k < 8; ++k) {
-      const int bit =
-          ((corner & 1) + (k & 1)) + 3 * ((corner >> 1 & 1) + (k >> 1 & 1)) + 9 * ((corner >> 2) + (k >> 2));
-      window |= static_cast<int>(around >> bit & 1u) << k;
-    }
-    const int valence = boundary_valence(window);
-    if (valence) cost += 0.5 * std::abs(valence - 4) + (has_visible_normal(window) ? 0 : 2);
-  }
-  // The block's twelve edges: along an axis, at the four combinations of the other two.
-  constexpr int stride[3] = {1, 3, 9};
-  for (int axis = 0; axis < 3; ++axis)
-    for (int side = 0; side < 4; ++side) {
-      const int u = stride[(axis + 1) % 3], v = stride[(axis + 2) % 3];
-      const int du = side & 1 ? u : -u, dv = side >> 1 ? v : -v;
-      const unsigned four = (around >> 13 & 1u) + (around >> (13 + du) & 1u) + (around >> (13 + dv) & 1u) +
-                            (around >> (13 + du + dv) & 1u);
-      cost += four == 1 || four == 3;
-    }
-  return cost;
-}
-
-// Smooths the polycube's stairs by simple flips at a falling temperature.
-void anneal_stairs(BlockGrid& grid, const SampleRaster& raster, const Fractions& fractions,
-                   const TargetSurface& surface, const Vec3& origin, double block_edge, int sweeps) {
-  // Blocks near the boundary and their signed squared distance, positive outside.
-  std::vector<std::size_t> candidates;
+// Blocks near the boundary, ascending.
+std::vector<std::size_t> blocks_to_anneal(const BlockGrid& grid, const std::vector<float>& fraction) {
+  std::vector<std::size_t> blocks;
+  const auto is_mixed = [&](std::size_t b) { return fraction[b] > 0 && fraction[b] < 1; };
   for (std::size_t b = 0; b < grid.filled.size(); ++b) {
     const Vec3i block = grid.place(b);
     if (!grid.may_fill(block)) continue;
-    bool mixed = fractions.volume[b] > 0 && fractions.volume[b] < 1;
-    for (int axis = 0; axis < 3 && !mixed; ++axis)
+    bool wanted = is_mixed(b);
+    for (int axis = 0; axis < 3 && !wanted; ++axis)
       for (int side : {-1, 1}) {
         const std::size_t next = grid.index(block + side * Vec3i::Unit(axis));
-        mixed =
-            mixed || grid.filled[next] != grid.filled[b] || (fractions.volume[next] > 0 && fractions.volume[next] < 1);
+        wanted = wanted || is_mixed(next) || grid.filled[next] != grid.filled[b];
       }
-    if (mixed) candidates.push_back(b);
+    if (wanted) blocks.push_back(b);
   }
-  std::vector<double> outside(candidates.size());
-  parallel_for(candidates.size(), [&](std::size_t c) {
-    const Vec3 centre = origin + block_edge * (grid.place(candidates[c]).cast<double>() + Vec3::Constant(0.5));
-    const double d = surface.nearest(centre).distance / block_edge;
-    outside[c] = (fractions.volume[candidates[c]] >= 0.5f ? -1 : 1) * d * d;
-  });
-  for (int sweep = 0; sweep < sweeps; ++sweep) {
-    const double temperature = 0.6 * std::pow(1 - static_cast<double>(sweep) / sweeps, 1.5);
-    for (std::size_t c = 0; c < candidates.size(); ++c) {
-      const std::size_t b = candidates[c];
-      const Vec3i block = grid.place(b);
-      unsigned around = 0;
-      for (int k = 0; k < 27; ++k)
-        if (grid.filled[grid.index(block + Vec3i(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1))]) around |= 1u << k;
-      if (around == 0 || around == (1u << 27) - 1) continue;
-      const bool fills = !grid.filled[b];
-      const double change = shape_cost(around ^ (1u << 13)) - shape_cost(around) + (fills ? outside[c] : -outside[c]);
-      if (change > 0 && to_unit(hash64(0x57a125u, sweep, b)) >= std::exp(-change / temperature)) continue;
-      if (!is_simple_flip(around)) continue;
-      if (fills && fractions.parts.joins_parts(grid, block)) continue;
-      if (!fills && uncovered_depth(grid, raster, fractions.shift, block) > 0.6) continue;
-      grid.filled[b] ^= 1;
-    }
-  }
+  return blocks;
+}
+
+// What filling a block costs: its volume outside the object less that inside, and the square of its centre's distance
+// to the surface, in blocks.
+std::vector<double> fill_costs(const BlockGrid& grid, const std::vector<std::size_t>& blocks,
+                               const std::vector<float>& fraction, const TargetSurface& surface, const Vec3& origin,
+                               double block_edge) {
+  std::vector<double> costs(grid.filled.size(), 0);
+  parallel_for(
+      blocks.size(),
+      [&](std::size_t n) {
+        const std::size_t b = blocks[n];
+        const Vec3 centre = origin + block_edge * (grid.place(b).cast<double>() + Vec3::Constant(0.5));
+        const double distance = surface.nearest(centre).distance / block_edge;
+        costs[b] = 2.5 * (1 - 2 * fraction[b]) + (fraction[b] >= 0.5f ? -1 : 1) * distance * distance;
+      },
+      64);
+  return costs;
 }
 
 std::vector<Vec3> to_block_places(const std::vector<TargetSurface::Sample>& samples, const Vec3& origin,
@@ -240,7 +169,7 @@ std::vector<Vec3> to_block_places(const std::vector<TargetSurface::Sample>& samp
 
 struct Candidate {
   BlockGrid grid;
-  const Fractions* fractions = nullptr;
+  const BlockParts* parts = nullptr;
   Vec3 origin = Vec3::Zero();
   double score = std::numeric_limits<double>::infinity();
 };
@@ -253,7 +182,7 @@ double score_of(const Candidate& candidate, int object_genus, int cells_per_bloc
   const Coverage cover = coverage(candidate.grid, to_block_places(samples, candidate.origin, block_edge));
   const SingularityCounts singular = count_singularities(candidate.grid);
   const double blocks = static_cast<double>(candidate.grid.count());
-  const double joints = static_cast<double>(count_joints(candidate.grid, candidate.fractions->parts));
+  const double joints = static_cast<double>(count_joints(candidate.grid, *candidate.parts));
   return (wrong > 0 ? 1e4 * (1 + wrong) : 0) + 50 * joints + 20 * std::max(0.0, cover.p99 * cells_per_block - 0.3) +
          4 * std::max(0.0, cover.most * cells_per_block - 0.8) +
          (20.0 * static_cast<double>(singular.corners) + 3.0 * static_cast<double>(singular.edges)) /
@@ -305,9 +234,12 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
   const Vec3 lower = low - block_edge * Vec3(2.5137, 2.5171, 2.5113);
   progress.begin("voxel fractions", 0);
   const SampleRaster raster = rasterize(surface, lower, sample_spacing, samples_per_block * (counts + Vec3i::Ones()));
-  std::vector<Fractions> fractions;
-  for (int o = 0; o < 8; ++o)
-    fractions.push_back(block_fractions(raster, samples_per_block / 2 * Vec3i(o & 1, o >> 1 & 1, o >> 2), counts));
+  const BlockMasks masks(raster);
+  const auto shift_of = [](std::size_t c) {
+    return Vec3i(samples_per_block / 2 * Vec3i(c & 1, c >> 1 & 1, c >> 2 & 1));
+  };
+  std::vector<BlockParts> parts;
+  for (std::size_t o = 0; o < 8; ++o) parts.emplace_back(raster, masks, shift_of(o), counts);
   progress.end();
 
   const TargetSurface target(surface);
@@ -319,16 +251,16 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
       candidates.size(),
       [&](std::size_t c) {
         Candidate& candidate = candidates[c];
-        candidate.fractions = &fractions[c % 8];
-        candidate.origin = lower + sample_spacing * candidate.fractions->shift.cast<double>();
+        candidate.parts = &parts[c % 8];
+        candidate.origin = lower + sample_spacing * shift_of(c).cast<double>();
         candidate.grid = BlockGrid(counts);
         for (std::size_t b = 0; b < candidate.grid.filled.size(); ++b)
           candidate.grid.filled[b] =
-              candidate.fractions->volume[b] >= thresholds[c / 8] && candidate.grid.may_fill(candidate.grid.place(b));
-        part_blocks(candidate.grid, *candidate.fractions);
+              candidate.parts->fractions()[b] >= thresholds[c / 8] && candidate.grid.may_fill(candidate.grid.place(b));
+        part_blocks(candidate.grid, *candidate.parts);
         keep_largest_component(candidate.grid);
         if (candidate.grid.count() == 0) return;
-        fill_to_manifold(candidate.grid, candidate.fractions->volume, candidate.fractions->parts);
+        fill_to_manifold(candidate.grid, *candidate.parts);
         // The lowest threshold is for objects that the others miss.
         candidate.score = score_of(candidate, result.object_genus, result.cells_per_block, few_samples, block_edge) +
                           (c / 8 == 3 ? 50 : 0);
@@ -344,10 +276,24 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
     throw InputError("the object is thinner than the grid's samples everywhere; try more --nodes");
 
   progress.begin("polycube shape", 0);
-  grow_into_extremities(chosen.grid, raster, *chosen.fractions);
+  const BlockParts& chosen_parts = *chosen.parts;
+  const Vec3i shift = shift_of(best);
+  const std::vector<TargetSurface::Sample> samples = target.samples(15000);
+  const auto cover_of = [&](BlockCover::Side side, double radius) {
+    BlockCover cover(raster, masks, shift, counts, samples, radius, side);
+    cover.take(chosen.grid);
+    return cover;
+  };
+  {
+    BlockCover cover = cover_of(BlockCover::Side::inside, 0.5);
+    grow_into_extremities(chosen.grid, chosen_parts, cover);
+  }
   if (options.anneal_sweeps > 0) {
-    anneal_stairs(chosen.grid, raster, *chosen.fractions, target, chosen.origin, block_edge, options.anneal_sweeps);
-    grow_into_extremities(chosen.grid, raster, *chosen.fractions);
+    BlockCover inner = cover_of(BlockCover::Side::inside, 1.0), outer = cover_of(BlockCover::Side::outside, 1.0);
+    const std::vector<std::size_t> blocks = blocks_to_anneal(chosen.grid, chosen_parts.fractions());
+    anneal_stairs(chosen.grid,
+                  fill_costs(chosen.grid, blocks, chosen_parts.fractions(), target, chosen.origin, block_edge), blocks,
+                  chosen_parts, inner, outer, options.anneal_sweeps);
   }
   progress.end();
   if (count_ill_composed(chosen.grid) != 0) throw InternalError("voxel polycube: the boundary is not a manifold");

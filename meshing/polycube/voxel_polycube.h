@@ -26,7 +26,7 @@ struct PolycubeOptions {
   double nodes = 1e5;   // wanted: cell centres and boundary nodes of the polygrid
   double blocks = 1e4;  // wanted, unless grid is given
   int grid = 0;         // cells along a block's edge; 0: the power of two nearest to (nodes / blocks)^⅓
-  int anneal_sweeps = 40;
+  int anneal_sweeps = 400;
 };
 
 // Approximates a closed surface by a voxel polycube: a column-parity raster of volume fractions, a search over

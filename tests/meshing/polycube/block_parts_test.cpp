@@ -47,7 +47,8 @@ TEST(BlockParts, parts_blocks_on_both_sides_of_a_thin_gap_but_not_near_the_joint
   const Vec3 lower(-2.0, -1.98, -2.0);  // block faces at y = 0.02 + 2n: the gap lies just below one
   const SampleRaster raster = rasterize(mesh, lower, 0.5, Vec3i(48, 32, 24));
   const Vec3i counts(10, 6, 5);
-  const BlockParts parts(raster, Vec3i::Zero(), counts);
+  const BlockMasks masks(raster);
+  const BlockParts parts(raster, masks, Vec3i::Zero(), counts);
   int parted = 0;
   for (int i = 1; i < 9; ++i) {
     const double x = lower.x() + 2 * i;  // the block's lower side
