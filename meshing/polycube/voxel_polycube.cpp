@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/polycube/voxel_polycube.h"
 
+#include <fmt/format.h>
+
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -21,6 +23,7 @@ namespace shellgrid {
 namespace {
 
 constexpr int samples_per_block = BlockParts::samples_per_block;
+constexpr double most_blocks = 1.5e7;  // in the window of the grid, some 200 bytes each
 
 // Empties blocks until none joins parts of the object that are apart, the emptier one of two.
 void part_blocks(BlockGrid& grid, const BlockParts& parts) {
@@ -194,7 +197,7 @@ double score_of(const Candidate& candidate, int object_genus, int cells_per_bloc
 namespace {
 
 // The spacing whose grid has about so many nodes: cell centres, of which a voxel polycube holds a few more than the
-// volume, and boundary nodes on stairs half as large again as the surface.
+// volume, and boundary nodes on stairs a third larger than the surface.
 double spacing_for(double nodes, double volume, const TriangleMesh& surface) {
   double area = 0;
   for (int f = 0; f < surface.face_count(); ++f)
@@ -203,7 +206,7 @@ double spacing_for(double nodes, double volume, const TriangleMesh& surface) {
   double low = 0, high = std::cbrt(volume) + std::sqrt(area);
   for (int step = 0; step < 100; ++step) {
     const double h = 0.5 * (low + high);
-    (volume / (h * h * h) + 1.8 * area / (h * h) > nodes ? low : high) = h;
+    (volume / (h * h * h) + 1.35 * area / (h * h) > nodes ? low : high) = h;
   }
   return high;
 }
@@ -224,11 +227,13 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
 
   const Vec3 low = surface.vertices.colwise().minCoeff().transpose();
   const Vec3 high = surface.vertices.colwise().maxCoeff().transpose();
-  const double extent = (high - low).maxCoeff() / block_edge;
-  if (!(extent < 400))
-    throw InputError("the object is too thin for its extent: its grid would be " +
-                     std::to_string(static_cast<long>(extent)) + " blocks long");
-  const Vec3i counts = ((high - low) / block_edge).array().ceil().cast<int>() + 5;
+  const Vec3 extent = (high - low) / block_edge;
+  if (!((extent.array() + 5).prod() < most_blocks))
+    throw InputError(
+        fmt::format("the object is too thin for its extent: its grid would be {:.0f}×{:.0f}×{:.0f} blocks; "
+                    "expected fewer than {:.0e}; try fewer nodes or larger --grid",
+                    extent.x(), extent.y(), extent.z(), most_blocks));
+  const Vec3i counts = extent.array().ceil().cast<int>() + 5;
   const double sample_spacing = block_edge / samples_per_block;
   // Off the round numbers that meshes like to lie on.
   const Vec3 lower = low - block_edge * Vec3(2.5137, 2.5171, 2.5113);

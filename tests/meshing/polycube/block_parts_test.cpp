@@ -11,14 +11,7 @@
 namespace shellgrid {
 namespace {
 
-// A hairpin of two bars of the given width whose gap lies at y from 4 to 4 + gap; joined at low x.
-TriangleMesh hairpin(double gap) {
-  TriangleMesh mesh = voxel_shapes::voxel_surface(
-      {16, 9, 4}, [](int i, int j, int) { return j != 4 || i < 3; }, 0);
-  for (int v = 0; v < mesh.vertex_count(); ++v)
-    if (mesh.vertices(v, 1) > 4.5) mesh.vertices(v, 1) += gap - 1;
-  return mesh;
-}
+using voxel_shapes::hairpin;
 
 TEST(SampleRaster, agrees_with_the_shape_and_sees_a_gap_thinner_than_its_samples) {
   const TriangleMesh mesh = hairpin(0.05);

@@ -104,6 +104,15 @@ inline TriangleMesh double_torus() {
       6);
 }
 
+// A hairpin of two bars of the given width whose gap lies at y from 4 to 4 + gap; joined at low x.
+inline TriangleMesh hairpin(double gap) {
+  TriangleMesh mesh = voxel_surface(
+      {16, 9, 4}, [](int i, int j, int) { return j != 4 || i < 3; }, 0);
+  for (int v = 0; v < mesh.vertex_count(); ++v)
+    if (mesh.vertices(v, 1) > 4.5) mesh.vertices(v, 1) += gap - 1;
+  return mesh;
+}
+
 // Three crossing bars of different thickness.
 inline TriangleMesh branching() {
   return voxel_surface(
