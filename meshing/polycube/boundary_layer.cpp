@@ -80,6 +80,7 @@ class LayerBuilder {
       outer_of_[grid.twin[outer]] = static_cast<std::int32_t>(outer);
     weight_.assign(cells_.size(), 1.0);
     inside_.assign(cells_.size(), 0);
+    state_.assign(grid.twin.size(), OuterState::moved);
   }
 
   // Outer points at `thickness` or less from their twins towards what sees every boundary face there: valid where
@@ -133,16 +134,22 @@ class LayerBuilder {
       const std::vector<std::int32_t> bad = cells_below(least_relative_jacobian);
       if (bad.empty()) return;
       for (std::int32_t c : bad) weight_[c] = std::min(64.0, weight_[c] * 2), inside_[c] = 1;
-      for (const HexahedraRegion& region : regions_around(cells_, around_, bad, 2 + round / 3)) {
-        HexahedraOptimization optimization = optimization_of(region);
-        VertexMatrix points = points_of(region);
-        for (int step = 0; step < 6; ++step) {
-          const double lowest = optimization.least_corner_jacobian(points);
-          const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
-          optimization.minimize(points, 40, lowest > 1e-3 ? 0 : 2 * std::sqrt(reach * (reach - std::min(lowest, 0.0))));
-        }
-        put(region, points);
-      }
+      // Regions share no point.
+      const std::vector<HexahedraRegion> regions = regions_around(cells_, around_, bad, 2 + round / 3);
+      parallel_for(
+          regions.size(),
+          [&](std::size_t r) {
+            HexahedraOptimization optimization = optimization_of(regions[r]);
+            VertexMatrix points = points_of(regions[r]);
+            for (int step = 0; step < 6; ++step) {
+              const double lowest = optimization.least_corner_jacobian(points);
+              const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
+              optimization.minimize(points, 40,
+                                    lowest > 1e-3 ? 0 : 2 * std::sqrt(reach * (reach - std::min(lowest, 0.0))));
+            }
+            put(regions[r], points);
+          },
+          1);
     }
   }
 
@@ -156,6 +163,7 @@ class LayerBuilder {
     std::iota(all.points.begin(), all.points.end(), 0);
     all.locked.assign(all.points.size(), 0);
     HexahedraOptimization optimization = optimization_of(all);
+    optimization.single_precision = true;
     for (int step = 0; step < steps; ++step) {
       const double part = steps > 1 ? static_cast<double>(step) / (steps - 1) : 1.0;
       attract(all, first_weight * std::pow(last_weight / first_weight, part), optimization);
@@ -191,36 +199,50 @@ class LayerBuilder {
   void improve(const std::vector<std::int32_t>& poor, int rings, int steps, double pull, bool keep_outer) {
     for (std::int32_t c : poor)
       if (scaled_jacobian(grid_.points, cells_[c]) < poor_scaled_jacobian) weight_[c] = std::min(64.0, weight_[c] * 2);
-    const std::vector<QuadAttraction> pulled = keep_outer ? std::vector<QuadAttraction>() : pulls(16);
-    std::vector<std::int32_t> local(static_cast<std::size_t>(grid_.points.rows()), -1);
-    for (const HexahedraRegion& region : regions_around(cells_, around_, poor, rings)) {
-      HexahedraOptimization optimization = optimization_of(region);
-      VertexMatrix points = points_of(region);
-      for (std::size_t p = 0; p < region.points.size(); ++p) local[region.points[p]] = static_cast<std::int32_t>(p);
-      for (QuadAttraction pull : pulled) {
+    // Regions share no point.
+    const std::vector<HexahedraRegion> regions = regions_around(cells_, around_, poor, rings);
+    std::vector<std::vector<QuadAttraction>> pulled(regions.size());
+    if (!keep_outer) {
+      std::vector<std::int32_t> region_of(static_cast<std::size_t>(grid_.points.rows()), -1), local(region_of);
+      for (std::size_t r = 0; r < regions.size(); ++r)
+        for (std::size_t p = 0; p < regions[r].points.size(); ++p) {
+          region_of[regions[r].points[p]] = static_cast<std::int32_t>(r);
+          local[regions[r].points[p]] = static_cast<std::int32_t>(p);
+        }
+      for (QuadAttraction pull : pulls(16)) {
+        const std::int32_t r = region_of[pull.corners[0]];
+        if (r < 0) continue;
         bool here = true;
-        for (std::int32_t& corner : pull.corners) corner = local[corner], here = here && corner >= 0;
-        if (here) optimization.quad_attractions.push_back(pull);
-      }
-      for (std::int32_t p : region.points) local[p] = -1;
-      for (int step = 0; step < steps; ++step) {
-        if (keep_outer)
-          hold(region, optimization);
-        else
-          attract(region, pull, optimization);
-        optimization.minimize(points, 30, 0);
-        const VertexMatrix before = points_of(region);
-        put(region, points);
-        // The energy sees the corners only, but for cells that were caught.
-        bool caught = false;
-        for (std::int32_t c : region.cells)
-          if (!is_above(c, least_relative_jacobian)) caught = true, inside_[c] = 1;
-        if (!caught) continue;
-        put(region, before);
-        points = before;
-        optimization.inside = inside_of(region);
+        for (std::int32_t& corner : pull.corners) here = here && region_of[corner] == r, corner = local[corner];
+        if (here) pulled[r].push_back(pull);
       }
     }
+    parallel_for(
+        regions.size(),
+        [&](std::size_t r) {
+          const HexahedraRegion& region = regions[r];
+          HexahedraOptimization optimization = optimization_of(region);
+          optimization.quad_attractions = std::move(pulled[r]);
+          VertexMatrix points = points_of(region);
+          for (int step = 0; step < steps; ++step) {
+            if (keep_outer)
+              hold(region, optimization);
+            else
+              attract(region, pull, optimization);
+            optimization.minimize(points, 30, 0);
+            const VertexMatrix before = points_of(region);
+            put(region, points);
+            // The energy sees the corners only, but for cells that were caught.
+            bool caught = false;
+            for (std::int32_t c : region.cells)
+              if (!is_above(c, least_relative_jacobian)) caught = true, inside_[c] = 1;
+            if (!caught) continue;
+            put(region, before);
+            points = before;
+            optimization.inside = inside_of(region);
+          }
+        },
+        1);
   }
 
   // Cells of poor shape, and those at outer points that are off the surface or whose links are off its normal.
@@ -230,6 +252,7 @@ class LayerBuilder {
     parallel_for(poor.size(), [&](std::size_t c) { poor[c] = scaled_jacobian(grid_.points, cells_[c]) < scaled; });
     std::vector<std::uint8_t> off(grid_.twin.size());
     parallel_for(off.size(), [&](std::size_t outer) {
+      if (state_[outer] == OuterState::settled) return;
       const Vec3 place = outer_place(outer);
       const TargetSurface::Nearest nearest = surface_.nearest(place / scale_);
       const Vec3 link = place - grid_.points.row(grid_.twin[outer]).transpose();
@@ -253,6 +276,7 @@ class LayerBuilder {
     const VertexMatrix normals = boundary_normals(grid_.core);
     std::vector<std::array<TargetSurface::Nearest, 3>> all_choices(grid_.twin.size());
     parallel_for(grid_.twin.size(), [&](std::size_t outer) {
+      if (state_[outer] == OuterState::settled) return;
       const Vec3 place = outer_place(outer);
       const Vec3 facing = normals.row(grid_.twin[outer]).transpose().stableNormalized();
       all_choices[outer] = {target_of(normals, outer),
@@ -260,6 +284,7 @@ class LayerBuilder {
                             surface_.nearest(place / scale_)};
     });
     for (std::size_t outer = 0; outer < grid_.twin.size(); ++outer) {
+      if (state_[outer] == OuterState::settled) continue;
       const auto& choices = all_choices[outer];
       const Vec3 place = outer_place(outer);
       const Vec3 twin = grid_.points.row(grid_.twin[outer]).transpose();
@@ -284,6 +309,8 @@ class LayerBuilder {
         }
         if (std::isfinite(best)) break;
       }
+      // On the surface and linked along the normal: nothing to seek until it moves.
+      if (best < 1 - poor_link_cosine) state_[outer] = OuterState::settled;
       if (std::isfinite(best) || !at_any_shape) continue;
       for (double part : {0.75, 0.5, 0.25, 0.125}) {
         outer_row(outer) = (place + part * (choices[2].point * scale_ - place)).transpose();
@@ -417,8 +444,10 @@ class LayerBuilder {
 
   void put(const HexahedraRegion& region, const VertexMatrix& points) {
     for (std::size_t p = 0; p < region.points.size(); ++p) {
-      grid_.points.row(region.points[p]) = points.row(p);
-      if (region.points[p] < core_points()) grid_.core.points.row(region.points[p]) = points.row(p);
+      const std::int32_t point = region.points[p];
+      grid_.points.row(point) = points.row(p);
+      if (point >= core_points()) state_[static_cast<std::size_t>(point - core_points())] = OuterState::moved;
+      if (point < core_points()) grid_.core.points.row(point) = points.row(p);
     }
   }
 
@@ -453,6 +482,7 @@ class LayerBuilder {
   void put_all(const VertexMatrix& points) {
     grid_.points = points;
     grid_.core.points = points.topRows(core_points());
+    std::fill(state_.begin(), state_.end(), OuterState::moved);
   }
 
   void attract(const HexahedraRegion& region, double pull, HexahedraOptimization& optimization) const {
@@ -497,6 +527,8 @@ class LayerBuilder {
   std::vector<double> weight_;          // of each cell
   std::vector<TargetSurface::Sample> samples_;
   std::vector<std::uint8_t> inside_;  // cells whose inside the energy judges
+  enum class OuterState : std::uint8_t { moved, settled };
+  std::vector<OuterState> state_;  // of outer points since they were last looked at
 };
 
 }  // namespace

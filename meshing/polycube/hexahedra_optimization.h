@@ -58,6 +58,8 @@ class HexahedraOptimization {
   std::vector<std::int32_t> twin;
   double link_length = 0.1;
   double theta = 0.2;
+  // Twice as fast, where cells are not folded and not nearly so.
+  bool single_precision = false;
   // Weight of each cell (m or empty: ones).
   std::vector<double> cell_weight;
   // Cells (m or empty: none) that are judged at the 3×3×3 Gauss points as well.
@@ -70,11 +72,18 @@ class HexahedraOptimization {
   double minimize(VertexMatrix& points, int iterations, double epsilon) const;
 
  private:
+  template <class Real>
+  double cell_energies(const VertexMatrix& points, double epsilon, VertexMatrix& gradient, double& least) const;
   double evaluate(const VertexMatrix& points, double epsilon, VertexMatrix& gradient, double& least) const;
 
   std::vector<LatticeHexahedron> cells_;
   std::vector<double> inverse_height_;
-  std::vector<std::vector<std::vector<std::int32_t>>> colours_;  // colour, brick, cells
+  // Cells near each other, the points they have, and the cells' corners among these.
+  struct Brick {
+    std::vector<std::int32_t> cells, points;
+    std::vector<std::array<std::uint16_t, 8>> corners;
+  };
+  std::vector<std::vector<Brick>> colours_;
 };
 
 }  // namespace shellgrid

@@ -65,6 +65,7 @@ class Embedding {
     for (std::size_t v = 0; v < on_boundary.size(); ++v)
       if (on_boundary[v]) boundary_.push_back(static_cast<std::int32_t>(v));
     samples_ = surface.samples(static_cast<int>(1.5 * static_cast<double>(boundary_.size())));
+    optimization_.single_precision = true;
   }
 
   void run(const Schedule& schedule, bool barrier, Progress& progress) {
@@ -98,38 +99,44 @@ class Embedding {
       const std::vector<std::int32_t> bad = inverted();
       if (bad.empty()) return true;
       for (std::int32_t c : bad) cell_weight[c] = std::min(64.0, 2 * cell_weight[c]), inside[c] = 1;
-      for (const HexahedraRegion& region : regions_around(grid_.cells, around, bad, 2 + round / 2)) {
-        std::vector<Vec3i> lattice;
-        std::vector<double> weights;
-        std::vector<std::uint8_t> judged;
-        for (std::int32_t c : region.cells) {
-          lattice.push_back(grid_.cell_lattice[c]);
-          weights.push_back(cell_weight[c]);
-          judged.push_back(inside[c]);
-        }
-        HexahedraOptimization local(region.local, lattice, std::vector<double>(region.cells.size(), 1.0));
-        local.locked = region.locked;
-        local.cell_weight = std::move(weights);
-        local.inside = std::move(judged);
-        VertexMatrix points(region.points.size(), 3);
-        for (std::size_t p = 0; p < region.points.size(); ++p) {
-          points.row(p) = grid_.points.row(region.points[p]);
-          const std::int32_t pull = pull_of[region.points[p]];
-          if (pull < 0 || region.locked[p]) continue;
-          local.plane_attractions.push_back(optimization_.plane_attractions[pull]);
-          local.plane_attractions.back().point = static_cast<std::int32_t>(p);
-          local.plane_attractions.back().weight *= std::pow(0.5, round);
-        }
-        for (int step = 0; step < 4; ++step) {
-          const double lowest = local.least_corner_jacobian(points);
-          const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
-          const double epsilon =
-              lowest > least_core_jacobian ? 0 : 2 * std::sqrt(reach * std::max(reach - lowest, 0.0));
-          local.minimize(points, iterations, epsilon);
-          if (epsilon == 0) break;
-        }
-        for (std::size_t p = 0; p < region.points.size(); ++p) grid_.points.row(region.points[p]) = points.row(p);
-      }
+      // Regions share no point.
+      const std::vector<HexahedraRegion> regions = regions_around(grid_.cells, around, bad, 2 + round / 2);
+      parallel_for(
+          regions.size(),
+          [&](std::size_t r) {
+            const HexahedraRegion& region = regions[r];
+            std::vector<Vec3i> lattice;
+            std::vector<double> weights;
+            std::vector<std::uint8_t> judged;
+            for (std::int32_t c : region.cells) {
+              lattice.push_back(grid_.cell_lattice[c]);
+              weights.push_back(cell_weight[c]);
+              judged.push_back(inside[c]);
+            }
+            HexahedraOptimization local(region.local, lattice, std::vector<double>(region.cells.size(), 1.0));
+            local.locked = region.locked;
+            local.cell_weight = std::move(weights);
+            local.inside = std::move(judged);
+            VertexMatrix points(region.points.size(), 3);
+            for (std::size_t p = 0; p < region.points.size(); ++p) {
+              points.row(p) = grid_.points.row(region.points[p]);
+              const std::int32_t pull = pull_of[region.points[p]];
+              if (pull < 0 || region.locked[p]) continue;
+              local.plane_attractions.push_back(optimization_.plane_attractions[pull]);
+              local.plane_attractions.back().point = static_cast<std::int32_t>(p);
+              local.plane_attractions.back().weight *= std::pow(0.5, round);
+            }
+            for (int step = 0; step < 4; ++step) {
+              const double lowest = local.least_corner_jacobian(points);
+              const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
+              const double epsilon =
+                  lowest > least_core_jacobian ? 0 : 2 * std::sqrt(reach * std::max(reach - lowest, 0.0));
+              local.minimize(points, iterations, epsilon);
+              if (epsilon == 0) break;
+            }
+            for (std::size_t p = 0; p < region.points.size(); ++p) grid_.points.row(region.points[p]) = points.row(p);
+          },
+          1);
     }
     return inverted().empty();
   }

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "meshing/core/triangle_mesh.h"
+#include "meshing/surface/closest_point.h"
 
 namespace shellgrid {
 
@@ -27,13 +28,15 @@ class TargetSurface {
   explicit TargetSurface(const TriangleMesh& mesh);
 
   // The point of least distance.
-  Nearest nearest(const Vec3& place) const { return search(place, Vec3::Zero(), -2, unlimited); }
+  Nearest nearest(const Vec3& place) const { return complete(query_.nearest(place)); }
   // The point of least distance²·(2 − facing·face normal); facing is unit.
-  Nearest nearest_facing(const Vec3& place, const Vec3& facing) const { return search(place, facing, -2, unlimited); }
+  Nearest nearest_facing(const Vec3& place, const Vec3& facing) const {
+    return complete(query_.nearest_facing(place, facing));
+  }
   // The same among faces that look the same way as `facing`, within 75°; where none is nearer than `limit`, among all.
   Nearest nearest_same_side(const Vec3& place, const Vec3& facing, double limit) const {
-    const Nearest found = search(place, facing, 0.25, limit);
-    return found.face >= 0 ? found : nearest_facing(place, facing);
+    const SurfacePoint found = query_.nearest_facing(place, facing, 0.25, limit);
+    return found.face_index >= 0 ? complete(found) : nearest_facing(place, facing);
   }
 
   // The unit vector nearest to `direction` in the cone of outward normals at a place of the surface: the normals of all
@@ -46,17 +49,10 @@ class TargetSurface {
   std::vector<Sample> samples(int count) const;
 
  private:
-  struct Node {
-    Vec3 lower, upper;
-    int first, count;  // count > 0: a leaf's range of order_; else children first and first + 1
-  };
-  static constexpr double unlimited = 1e150;
-  // Leaves out faces whose normal's product with `facing` is below `least_cosine`.
-  Nearest search(const Vec3& place, const Vec3& facing, double least_cosine, double limit) const;
+  Nearest complete(const SurfacePoint& found) const;
 
   TriangleMesh mesh_;
-  std::vector<int> order_;
-  std::vector<Node> nodes_;
+  ClosestPointQuery query_;
   std::vector<Vec3> face_normals_;
   std::vector<std::array<Vec3, 3>> corner_normals_;
 };

@@ -22,11 +22,19 @@ struct SurfacePoint {
 class ClosestPointQuery {
  public:
   ClosestPointQuery() = default;
+  // Whether the faces' normals are kept, for `nearest_facing`.
+  enum class Facing { unknown, known };
   // Keeps no reference to the mesh. Faces may be degenerate.
-  explicit ClosestPointQuery(const TriangleMesh& mesh);
+  explicit ClosestPointQuery(const TriangleMesh& mesh, Facing facing = Facing::unknown);
 
   // The nearest point not farther than `max_distance` (mm); face_index -1 where there is none.
   SurfacePoint nearest(const Vec3& point, double max_distance = std::numeric_limits<double>::infinity()) const;
+  // The point of least distance²·(2 − facing·face normal), `facing` being unit, among faces whose normal's product with
+  // it is at least `least_cosine`; that cost not above `max_distance`².
+  SurfacePoint nearest_facing(const Vec3& point, const Vec3& facing, double least_cosine = -2,
+                              double max_distance = std::numeric_limits<double>::infinity()) const;
+  // The faces not farther than `radius` (mm), in an order of the mesh's own.
+  std::vector<int> faces_within(const Vec3& point, double radius) const;
 
  private:
   // Eight triangles: corner a, edges ab and ac, and what the projections divide by.
@@ -35,9 +43,19 @@ class ClosestPointQuery {
     double inverse_ab2[8], inverse_ac2[8], inverse_bc2[8], inverse_determinant[8];
     std::int32_t face[8];
   };
+  struct alignas(64) NormalPacket {
+    double x[8], y[8], z[8];
+  };
+
+  // Squared distances of the eight triangles, and where on them: a + v ab + w ac.
+  static Lanes squared_distances(const Packet& packet, const Vec3& point, Lanes& v, Lanes& w);
+  // The point of least cost(leaf, squared distances), which is nowhere less than the distance.
+  template <class Cost>
+  SurfacePoint least(const Vec3& point, double best, const Cost& cost) const;
 
   BoxTree tree_;
-  std::vector<Packet> packets_;  // one a leaf
+  std::vector<Packet> packets_;        // one a leaf
+  std::vector<NormalPacket> normals_;  // one a leaf, or none
 };
 
 // Finds the nearest of a set of points; of points equally near the lowest index. Thread-safe after construction.

@@ -315,6 +315,30 @@ TEST(HexahedraOptimization, keeps_a_box_and_mends_a_folded_corner) {
   EXPECT_GT(optimization.least_corner_jacobian(points), 0.5);
 }
 
+// An odd number of cells, one of them judged inside too, far from the origin.
+TEST(HexahedraOptimization, comes_to_the_same_in_single_precision) {
+  const LatticeGrid grid = refine_blocks({{0, 0, 0}, {1, 0, 0}, {1, 1, 0}}, 3);
+  VertexMatrix start = grid.points;
+  RandomStream random(5, 9);
+  for (Eigen::Index i = 0; i < start.size(); ++i) start.data()[i] += 300 + 0.2 * (random.next() - 0.5);
+  VertexMatrix results[2];
+  double energies[2];
+  for (int single = 0; single < 2; ++single) {
+    HexahedraOptimization optimization(grid.cells, grid.cell_lattice, std::vector<double>(grid.cells.size(), 1.0));
+    optimization.single_precision = single == 1;
+    optimization.inside.assign(grid.cells.size(), 0);
+    optimization.inside[4] = 1;
+    optimization.cell_weight.assign(grid.cells.size(), 1.0);
+    optimization.cell_weight[7] = 3;
+    optimization.plane_attractions.push_back({0, start.row(0).transpose(), Vec3::UnitX(), 10, 0.5});
+    results[single] = start;
+    energies[single] = optimization.minimize(results[single], 200, 0);
+    EXPECT_LT(energies[single], 1.001 * (static_cast<double>(grid.cells.size()) + 4)) << "an undistorted grid";
+  }
+  EXPECT_NEAR(energies[0], energies[1], 1e-4 * energies[0]);
+  EXPECT_LT((results[0] - results[1]).cwiseAbs().maxCoeff(), 0.02);
+}
+
 TEST(HexahedraOptimization, measures_a_box_and_sees_a_folded_cell) {
   VertexMatrix points(8, 3);
   for (int k = 0; k < 8; ++k) points.row(k) << (k & 1), (k >> 1 & 1), (k >> 2);

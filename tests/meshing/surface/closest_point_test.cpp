@@ -3,6 +3,10 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+
 #include "meshing/core/random.h"
 
 namespace shellgrid {
@@ -45,6 +49,46 @@ TriangleMesh triangle_soup(int faces, double edge, std::uint64_t seed) {
 }
 
 class ClosestPointOnSoup : public testing::TestWithParam<int> {};
+
+TEST_P(ClosestPointOnSoup, WeighsFacesByTheirDirection) {
+  const TriangleMesh mesh = triangle_soup(GetParam(), 0.2, 7);
+  const ClosestPointQuery query(mesh, ClosestPointQuery::Facing::known);
+  RandomStream random(13);
+  const auto unit = [&] { return Vec3(random.next() - 0.5, random.next() - 0.5, random.next() - 0.5); };
+  for (int i = 0; i < 300; ++i) {
+    const Vec3 p = 3 * unit(), facing = unit().normalized();
+    const double least_cosine = i % 2 ? -2 : 0.25;
+    double least = std::numeric_limits<double>::infinity();
+    const auto cost = [&](int f, const Vec3& place) {
+      const Vec3 normal =
+          (mesh.corner(f, 1) - mesh.corner(f, 0)).cross(mesh.corner(f, 2) - mesh.corner(f, 0)).normalized();
+      return normal.dot(facing) < least_cosine ? std::numeric_limits<double>::infinity()
+                                               : (place - p).squaredNorm() * (2 - normal.dot(facing));
+    };
+    for (int f = 0; f < mesh.face_count(); ++f)
+      least = std::min(least, cost(f, nearest_on_triangle(p, mesh.corner(f, 0), mesh.corner(f, 1), mesh.corner(f, 2))));
+    const SurfacePoint found = query.nearest_facing(p, facing, least_cosine);
+    ASSERT_EQ(found.face_index >= 0, std::isfinite(least));
+    if (found.face_index < 0) continue;
+    EXPECT_NEAR(cost(found.face_index, found.point), least, 1e-12 * (1 + least));
+    EXPECT_NEAR(found.squared_distance, (found.point - p).squaredNorm(), 1e-15);
+  }
+}
+
+TEST_P(ClosestPointOnSoup, ListsTheFacesWithin) {
+  const TriangleMesh mesh = triangle_soup(GetParam(), 0.2, 7);
+  const ClosestPointQuery query(mesh);
+  RandomStream random(17);
+  for (int i = 0; i < 100; ++i) {
+    const Vec3 p(random.next() - 0.5, random.next() - 0.5, random.next() - 0.5);
+    std::vector<int> expected, found = query.faces_within(p, 0.2);
+    for (int f = 0; f < mesh.face_count(); ++f)
+      if ((nearest_on_triangle(p, mesh.corner(f, 0), mesh.corner(f, 1), mesh.corner(f, 2)) - p).norm() <= 0.2)
+        expected.push_back(f);
+    std::sort(found.begin(), found.end());
+    EXPECT_EQ(found, expected);
+  }
+}
 
 TEST_P(ClosestPointOnSoup, EqualsBruteForce) {
   const TriangleMesh mesh = triangle_soup(GetParam(), 0.2, 7);
