@@ -245,6 +245,35 @@ class LayerBuilder {
         1);
   }
 
+  // Lays neighbourhoods of the given cells anew: what is caught in a fold has valid neighbours that no descent leads
+  // away from. Smoothed between the points around, then drawn to the surface as the whole grid was at first; kept where
+  // that is valid and better.
+  void restart(const std::vector<std::int32_t>& poor, int rings) {
+    const std::vector<HexahedraRegion> regions = regions_around(cells_, around_, poor, rings);
+    parallel_for(
+        regions.size(),
+        [&](std::size_t r) {
+          const HexahedraRegion& region = regions[r];
+          const VertexMatrix before = points_of(region);
+          const double cost = cost_of(region);
+          put(region, smoothed(region));
+          HexahedraOptimization optimization = optimization_of(region);
+          constexpr int steps = 8;
+          VertexMatrix points;
+          for (int step = 0; step < steps; ++step) {
+            attract(region, std::pow(4.0, 0.5 * step), optimization);
+            points = points_of(region);
+            const bool safe = step + 2 >= steps && optimization.least_corner_jacobian(points) > 1e-3;
+            optimization.minimize(points, 30, safe ? 0 : std::max(0.3 * std::pow(0.6, step), 1e-3));
+            put(region, points);
+          }
+          const bool valid = std::all_of(region.cells.begin(), region.cells.end(),
+                                         [&](std::int32_t c) { return is_above(c, least_relative_jacobian); });
+          if (!valid || cost_of(region) > cost) put(region, before);
+        },
+        1);
+  }
+
   // Cells of poor shape, and those at outer points that are off the surface or whose links are off its normal.
   std::vector<std::int32_t> cells_to_improve(double scaled = poor_scaled_jacobian,
                                              double link_cosine = poor_link_cosine) const {
@@ -401,6 +430,64 @@ class LayerBuilder {
       }
     });
     return result;
+  }
+
+  // How far a region is from what is wanted: links off the normal, points off the surface, cells of poor shape.
+  double cost_of(const HexahedraRegion& region) const {
+    double cost = 0;
+    for (std::int32_t c : region.cells)
+      cost += std::max(0.0, 1 - scaled_jacobian(grid_.points, cells_[c]) / (2 * poor_scaled_jacobian));
+    for (std::int32_t p : region.points) {
+      if (p < core_points()) continue;
+      const std::size_t outer = static_cast<std::size_t>(p - core_points());
+      const Vec3 place = outer_place(outer);
+      const TargetSurface::Nearest nearest = surface_.nearest(place / scale_);
+      const Vec3 link = place - grid_.points.row(grid_.twin[outer]).transpose();
+      cost += 1 - link.dot(nearest.normal) / std::max(1e-300, link.norm());
+      cost += std::max(0.0, nearest.distance * scale_ / thickness_ - 0.1);
+    }
+    return cost;
+  }
+
+  // A region's points as means of their neighbours, those of the boundary of their neighbours there; outer points
+  // above their twins.
+  VertexMatrix smoothed(const HexahedraRegion& region) const {
+    VertexMatrix points = points_of(region);
+    std::vector<std::set<std::int32_t>> inside(region.points.size()), on_boundary(region.points.size());
+    for (std::size_t n = 0; n < region.cells.size(); ++n)
+      for (int k = 0; k < 8; ++k)
+        for (int axis = 0; axis < 3; ++axis) {
+          const std::int32_t a = region.local[n][k], b = region.local[n][k ^ 1 << axis];
+          if (!is_layer(region.cells[n]))
+            inside[a].insert(b);
+          else if (axis < 2 && k < 4)
+            on_boundary[a].insert(b);
+        }
+    for (int sweep = 0; sweep < 100; ++sweep)
+      for (std::size_t p = 0; p < region.points.size(); ++p) {
+        const std::set<std::int32_t>& around = on_boundary[p].empty() ? inside[p] : on_boundary[p];
+        if (region.locked[p] || region.points[p] >= core_points() || around.empty()) continue;
+        Vec3 mean = Vec3::Zero();
+        for (std::int32_t n : around) mean += points.row(n).transpose();
+        points.row(p) = mean.transpose() / static_cast<double>(around.size());
+      }
+    std::vector<Vec3> normals(region.points.size(), Vec3::Zero());
+    for (std::size_t n = 0; n < region.cells.size(); ++n) {
+      if (!is_layer(region.cells[n])) continue;
+      const LatticeHexahedron& q = region.local[n];
+      const Vec3 u = (points.row(q[3]) - points.row(q[0])).transpose();
+      const Vec3 v = (points.row(q[2]) - points.row(q[1])).transpose();
+      for (int k = 0; k < 4; ++k) normals[q[k + 4]] += u.cross(v);
+    }
+    for (std::size_t n = 0; n < region.cells.size(); ++n)
+      if (is_layer(region.cells[n]))
+        for (int k = 0; k < 4; ++k) {
+          const std::int32_t outer = region.local[n][k + 4];
+          if (!region.locked[outer])
+            points.row(outer) =
+                points.row(region.local[n][k]) + thickness_ * normals[outer].stableNormalized().transpose();
+        }
+    return points;
   }
 
   HexahedraOptimization optimization_of(const HexahedraRegion& region) const {
@@ -582,6 +669,7 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
     const std::vector<std::int32_t> worst = builder.cells_to_improve(worst_scaled_jacobian, worst_link_cosine);
     if (worst.empty() || 5 * worst.size() > 4 * left) break;
     left = worst.size();
+    builder.restart(worst, 4 + round);
     builder.improve(worst, 4, 3, 256 * std::pow(2.0, round), false);
     builder.snap(true);
     builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
