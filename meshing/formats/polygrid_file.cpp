@@ -80,7 +80,8 @@ std::vector<DataArray> graph_arrays(const PolygridGraph& graph, const std::strin
           {prefix + "boundary_distance", 1, graph.boundary_distance},
           array_of<std::int32_t>(prefix + "links", graph.links),
           array_of<double>(prefix + "weights", graph.weights),
-          {prefix + "weight_condition", 1, graph.weight_condition}};
+          {prefix + "weight_condition", 1, graph.weight_condition},
+          {prefix + "weight_method", 1, graph.weight_method}};
 }
 
 const DataArray* find_array(const std::vector<DataArray>& arrays, const std::string& name) {
@@ -110,6 +111,7 @@ PolygridGraph graph_of(const std::string& path, const std::vector<DataArray>& ar
   graph.links = matrix_of<decltype(graph.links)>(links);
   graph.weights = matrix_of<decltype(graph.weights)>(field(double{}, "weights", 6, interior));
   graph.weight_condition = field(double{}, "weight_condition", 1, interior);
+  graph.weight_method = field(std::uint8_t{}, "weight_method", 1, interior);
   check_indices(path, prefix + "boundary_owner", graph.boundary_owner, 0, static_cast<std::int64_t>(interior));
   check_indices(path, prefix + "links", links, -static_cast<std::int64_t>(boundary),
                 static_cast<std::int64_t>(interior));

@@ -33,7 +33,7 @@ TriangleMesh scaled_surface(const TriangleMesh& surface, const Vec3& origin, dou
 }
 
 void build_graph(Polygrid& polygrid, const LatticeGrid& core, const TargetSurface& surface, double scale,
-                 const Vec3& origin) {
+                 const Vec3& origin, double condition_limit) {
   PolygridGraph& graph = polygrid.graph;
   const Eigen::Index cells = static_cast<Eigen::Index>(core.cells.size());
   graph.interior.setZero(cells, 3);
@@ -80,20 +80,7 @@ void build_graph(Polygrid& polygrid, const LatticeGrid& core, const TargetSurfac
     graph.boundary_distance[q] = (place - graph.interior.row(owner).transpose()).norm();
     graph.links(owner, core.boundary_quads[q].side) = -1 - static_cast<std::int32_t>(q);
   });
-
-  graph.weights.resize(cells, 6);
-  graph.weight_condition.resize(cells);
-  parallel_for(static_cast<std::size_t>(cells), [&](std::size_t c) {
-    std::array<Vec3, 6> offsets;
-    for (int side = 0; side < 6; ++side) {
-      const std::int32_t link = graph.links(c, side);
-      offsets[side] =
-          ((link >= 0 ? graph.interior.row(link) : graph.boundary.row(-1 - link)) - graph.interior.row(c)).transpose();
-    }
-    const LaplacianWeights weights = laplacian_weights(offsets, polygrid.spacing);
-    for (int side = 0; side < 6; ++side) graph.weights(c, side) = weights.weights[side];
-    graph.weight_condition[c] = weights.condition;
-  });
+  weigh_links(graph, polygrid.spacing, condition_limit);
 }
 
 double object_size(const TriangleMesh& surface) {
@@ -180,8 +167,8 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
   for (Eigen::Index q = 0; q < quads; ++q)
     polygrid.boundary_quads.row(q) << layered.layer[q][4], layered.layer[q][5], layered.layer[q][7],
         layered.layer[q][6];
-  build_graph(polygrid, core, target, scale, polycube.origin);
-  polygrid.hierarchy = build_hierarchy(polygrid);
+  build_graph(polygrid, core, target, scale, polycube.origin, options.condition_limit);
+  polygrid.hierarchy = build_hierarchy(polygrid, options.condition_limit);
   return polygrid;
 }
 
@@ -269,7 +256,10 @@ PolygridQuality measure_polygrid(const Polygrid& polygrid, const VoxelPolycube& 
   if (!condition.empty()) {
     quality.weight_condition_median = condition[condition.size() / 2];
     quality.weight_condition_max = condition.back();
-    quality.singular_weights = std::count_if(condition.begin(), condition.end(), [](double c) { return c >= 1e12; });
+  }
+  for (const std::uint8_t method : polygrid.graph.weight_method) {
+    quality.least_squares_weights += method == static_cast<std::uint8_t>(WeightMethod::least_squares);
+    quality.singular_weights += method == static_cast<std::uint8_t>(WeightMethod::three_lines);
   }
   return quality;
 }

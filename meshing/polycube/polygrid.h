@@ -6,6 +6,7 @@
 #include "meshing/core/progress.h"
 #include "meshing/core/triangle_mesh.h"
 #include "meshing/core/vec.h"
+#include "meshing/polycube/laplacian_weights.h"
 #include "meshing/polycube/polygrid_graph.h"
 #include "meshing/polycube/polygrid_hierarchy.h"
 #include "meshing/polycube/voxel_polycube.h"
@@ -48,11 +49,13 @@ struct PolygridQuality {
   long off_surface = 0;                                      // outer points farther than 1e-4 of the object's size
   double coverage_p99 = 0, coverage_max = 0;                 // of surface samples to the outer boundary, in cells
   double weight_condition_median = 0, weight_condition_max = 0;
-  long singular_weights = 0;  // nodes whose six links give no invertible matrix
+  long least_squares_weights = 0;  // nodes whose weights are those of least squares
+  long singular_weights = 0;       // nodes whose weights are those of three orthogonal lines
 };
 
 struct PolygridOptions {
-  double layer_thickness = 0.1;  // in cells
+  double layer_thickness = 0.1;              // in cells
+  double condition_limit = ill_conditioned;  // of a node's matrix of appendix B; beyond it, least squares
 };
 
 // Makes the polygrid of an object from its polycube: maps the cells, adds the boundary layer, and weighs the

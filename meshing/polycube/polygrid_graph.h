@@ -19,9 +19,10 @@ struct PolygridGraph {
   std::vector<double> boundary_distance;     // b: length of that link d_ji, mm
   // n×6 in the order −x +x −y +y −z +z of the lattice: an interior node's index, or −1 − (boundary node's index).
   Eigen::Matrix<std::int32_t, Eigen::Dynamic, 6, Eigen::RowMajor> links;
-  // n×6: w_ji of appendix B, mm⁻²: Laplacian(f)(i) = Σ_j w_ji (f_j − f_i).
+  // n×6: w_ji, mm⁻²: Laplacian(f)(i) = Σ_j w_ji (f_j − f_i).
   Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::RowMajor> weights;
-  std::vector<double> weight_condition;  // n: condition number of appendix B's matrix, scaled by the spacing
+  std::vector<double> weight_condition;     // n: condition number of appendix B's matrix, scaled by the spacing
+  std::vector<std::uint8_t> weight_method;  // n: a WeightMethod
 };
 
 }  // namespace shellgrid

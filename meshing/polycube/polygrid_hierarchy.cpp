@@ -159,7 +159,7 @@ void check_parents(const CellLevel& fine, const PolygridLevel& level) {
 }
 
 PolygridLevel coarsen_graph(const PolygridGraph& fine, const CellLevel& coarse, std::vector<std::int32_t> parent,
-                            double spacing) {
+                            double spacing, double condition_limit) {
   PolygridLevel level;
   PolygridGraph& graph = level.graph;
   const std::size_t nodes = coarse.lattice.size();
@@ -210,19 +210,7 @@ PolygridLevel coarsen_graph(const PolygridGraph& fine, const CellLevel& coarse, 
     graph.boundary_distance.push_back((graph.boundary.row(b) - graph.interior.row(graph.boundary_owner[b])).norm());
   }
 
-  graph.weights.resize(static_cast<Eigen::Index>(nodes), 6);
-  graph.weight_condition.resize(nodes);
-  parallel_for(nodes, [&](std::size_t i) {
-    std::array<Vec3, 6> offsets;
-    for (int side = 0; side < 6; ++side) {
-      const std::int32_t link = graph.links(i, side);
-      offsets[side] =
-          ((link >= 0 ? graph.interior.row(link) : graph.boundary.row(-1 - link)) - graph.interior.row(i)).transpose();
-    }
-    const LaplacianWeights weights = laplacian_weights(offsets, spacing);
-    for (int side = 0; side < 6; ++side) graph.weights(i, side) = weights.weights[side];
-    graph.weight_condition[i] = weights.condition;
-  });
+  weigh_links(graph, spacing, condition_limit);
   return level;
 }
 
@@ -272,7 +260,7 @@ std::vector<std::int32_t> coarsen_cells(const CellLevel& fine, CellLevel& coarse
   return parent;
 }
 
-std::vector<PolygridLevel> build_hierarchy(const Polygrid& polygrid) {
+std::vector<PolygridLevel> build_hierarchy(const Polygrid& polygrid, double condition_limit) {
   CellLevel cells = finest_cells(polygrid);
   if (static_cast<std::size_t>(polygrid.graph.interior.rows()) != cells.lattice.size())
     throw InputError("polygrid: its graph does not match its cells");
@@ -283,8 +271,8 @@ std::vector<PolygridLevel> build_hierarchy(const Polygrid& polygrid) {
     std::vector<std::int32_t> parent = coarsen_cells(cells, coarse);
     if (!goes_on(cells.lattice.size(), coarse.lattice.size())) break;
     spacing *= 2;
-    levels.push_back(
-        coarsen_graph(levels.empty() ? polygrid.graph : levels.back().graph, coarse, std::move(parent), spacing));
+    levels.push_back(coarsen_graph(levels.empty() ? polygrid.graph : levels.back().graph, coarse, std::move(parent),
+                                   spacing, condition_limit));
     cells = std::move(coarse);
   }
   return levels;

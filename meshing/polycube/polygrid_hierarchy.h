@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "meshing/core/vec.h"
+#include "meshing/polycube/laplacian_weights.h"
 #include "meshing/polycube/polygrid_graph.h"
 
 namespace shellgrid {
@@ -20,7 +21,7 @@ struct Polygrid;
 // Deviates: nodes in one 2×2×2 window of the lattice that are not connected within get parents of their own, so that
 // sheets that nearly touch never share one; where a window splits so, links need not be mutual.
 struct PolygridLevel {
-  PolygridGraph graph;  // weights by appendix B for the level's spacing
+  PolygridGraph graph;                                                      // weights for the level's spacing
   Eigen::Matrix<std::int32_t, Eigen::Dynamic, 3, Eigen::RowMajor> lattice;  // n×3: in steps of 2^level cells
   std::vector<std::int32_t> parent;           // of each interior node of the next finer level: a node of this one
   std::vector<std::int32_t> boundary_parent;  // of each finer boundary node; −1 where the side leads to a node here
@@ -28,7 +29,7 @@ struct PolygridLevel {
 
 // Levels until one has eight nodes or fewer or hardly fewer than the finer one.
 // Throws: InputError where the graph does not match the cells.
-std::vector<PolygridLevel> build_hierarchy(const Polygrid& polygrid);
+std::vector<PolygridLevel> build_hierarchy(const Polygrid& polygrid, double condition_limit = ill_conditioned);
 
 // Means over children: `parent` of each value, −1 for none; parents without children get zero.
 template <class Value>

@@ -21,6 +21,9 @@ int main(int argc, char** argv) {
   program.output("polygrid.hdf", "hexahedra, links and weights (VTKHDF)");
   program.output_beside(".view.ply");
   program.option("--layer", options.layer_thickness, "cells", "thickness of the boundary layer", 0.01, 0.5);
+  program.option("--condition-limit", options.condition_limit, "",
+                 "condition number of appendix B's matrix beyond which a node's weights are least squares; 1e12: never",
+                 1, 1e12);
   program.example("sg-polygrid polycube.hdf surface.ply -o polygrid.hdf", "the polygrid of a prepared surface");
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
@@ -55,6 +58,7 @@ int main(int argc, char** argv) {
     results["coverage"] = {{"p99", quality.coverage_p99}, {"max", quality.coverage_max}};
     results["weights"] = {
         {"condition", {{"median", quality.weight_condition_median}, {"max", quality.weight_condition_max}}},
+        {"least_squares", quality.least_squares_weights},
         {"singular", quality.singular_weights}};
     results["spacing"] = polygrid.spacing;
   });

@@ -86,6 +86,7 @@ inline Polygrid lattice_polygrid(const std::vector<Vec3i>& blocks, int n, double
   }
   graph.weights.setZero(cells, 6);
   graph.weight_condition.assign(cells, 1);
+  graph.weight_method.assign(cells, 0);
   return grid;
 }
 

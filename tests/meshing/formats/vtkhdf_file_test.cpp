@@ -114,6 +114,7 @@ Polygrid one_cell() {
   p.graph.weights.resize(1, 6);
   p.graph.weights << 1, 2, 3, 4, 5, 1.0 / 6;
   p.graph.weight_condition = {3};
+  p.graph.weight_method = {2};
   return p;
 }
 
@@ -139,6 +140,7 @@ TEST(VtkhdfFile, PolygridRoundTrip) {
   EXPECT_TRUE((read.graph.links.array() == p.graph.links.array()).all());
   EXPECT_TRUE((read.graph.weights.array() == p.graph.weights.array()).all());
   EXPECT_EQ(read.graph.weight_condition, p.graph.weight_condition);
+  EXPECT_EQ(read.graph.weight_method, p.graph.weight_method);
 }
 
 TEST(VtkhdfFile, ThePolygridsHierarchyComesBackAndStandsBesideVtk) {

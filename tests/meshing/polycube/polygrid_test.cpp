@@ -13,7 +13,6 @@
 #include "meshing/polycube/block_grid.h"
 #include "meshing/polycube/boundary_layer.h"
 #include "meshing/polycube/hexahedra_optimization.h"
-#include "meshing/polycube/laplacian_weights.h"
 #include "meshing/polycube/target_surface.h"
 #include "meshing/polycube/tetrahedralize.h"
 #include "meshing/surface/repair.h"
@@ -268,37 +267,6 @@ TEST(TargetSurface, takes_every_direction_between_the_faces_of_an_edge_for_a_nor
   EXPECT_LT((box.nearest_normal(at_edge, Vec3(0.5, 0.5, 5).normalized(), 1e-6) - Vec3(1, 1, 0).normalized()).norm(),
             1e-9);
   EXPECT_EQ(box.nearest_normal(Vec3(1, 1, 1), between, 1e-6), Vec3(Vec3::Zero()));
-}
-
-TEST(LaplacianWeights, are_exact_for_quadratics_without_cross_terms_on_unequal_steps) {
-  const std::array<Vec3, 6> offsets = {Vec3(-0.7, 0, 0), Vec3(1.1, 0, 0), Vec3(0, -0.9, 0),
-                                       Vec3(0, 0.4, 0),  Vec3(0, 0, -1),  Vec3(0, 0, 0.1)};
-  const LaplacianWeights weights = laplacian_weights(offsets, 1);
-  EXPECT_TRUE(weights.exact);
-  const auto f = [](const Vec3& x) {
-    return 2 + 3 * x.x() - x.y() + 0.5 * x.z() + 1.5 * x.x() * x.x() - 2 * x.y() * x.y() + 4 * x.z() * x.z();
-  };
-  double laplacian = 0;
-  for (int j = 0; j < 6; ++j) laplacian += weights.weights[j] * (f(offsets[j]) - f(Vec3::Zero()));
-  EXPECT_NEAR(laplacian, 2 * (1.5 - 2 + 4), 1e-10);
-}
-
-TEST(LaplacianWeights, do_not_depend_on_the_frame) {
-  const std::array<Vec3, 6> offsets = {Vec3(-0.7, 0.1, 0), Vec3(1.1, 0, 0.1), Vec3(0, -0.9, 0.05),
-                                       Vec3(0.1, 0.8, 0),  Vec3(0, 0.1, -1),  Vec3(0, 0, 0.6)};
-  const Mat3 rotation = Eigen::AngleAxisd(0.9, Vec3(1, 2, 3).normalized()).toRotationMatrix();
-  std::array<Vec3, 6> turned;
-  for (int j = 0; j < 6; ++j) turned[j] = rotation * offsets[j];
-  const LaplacianWeights a = laplacian_weights(offsets, 1), b = laplacian_weights(turned, 1);
-  for (int j = 0; j < 6; ++j) EXPECT_NEAR(a.weights[j], b.weights[j], 1e-9);
-}
-
-TEST(LaplacianWeights, stay_finite_where_links_coincide) {
-  const std::array<Vec3, 6> offsets = {Vec3(-1, 0, 0), Vec3(1, 0, 0),  Vec3(-1, 0, 0),
-                                       Vec3(1, 0, 0),  Vec3(0, 0, -1), Vec3(0, 0, 1)};
-  const LaplacianWeights weights = laplacian_weights(offsets, 1);
-  EXPECT_FALSE(weights.exact);
-  for (double w : weights.weights) EXPECT_GT(w, 0);
 }
 
 TEST(HexahedraOptimization, keeps_a_box_and_mends_a_folded_corner) {
