@@ -14,8 +14,10 @@
 #include "meshing/core/random.h"
 #include "meshing/polycube/block_cover.h"
 #include "meshing/polycube/block_parts.h"
+#include "meshing/polycube/genus_repair.h"
 #include "meshing/polycube/sample_raster.h"
 #include "meshing/polycube/stair_annealing.h"
+#include "meshing/polycube/surface_handles.h"
 #include "meshing/polycube/target_surface.h"
 #include "meshing/surface/repair.h"
 
@@ -23,6 +25,7 @@ namespace shellgrid {
 namespace {
 
 constexpr int samples_per_block = BlockParts::samples_per_block;
+constexpr int most_handles = 50;       // looked for on the surface where the polycube lacks some
 constexpr double most_blocks = 1.5e7;  // in the window of the grid, some 200 bytes each
 
 // Empties blocks until none joins parts of the object that are apart, the emptier one of two.
@@ -99,17 +102,40 @@ struct Coverage {
   double p99 = 0, most = 0;  // in blocks
 };
 
-Coverage coverage(const BlockGrid& grid, const std::vector<Vec3>& places) {
+// Distances beyond `near` blocks are sought among all blocks of the boundary, or, where not `exact`, taken as `near`.
+Coverage coverage(const BlockGrid& grid, const std::vector<Vec3>& places, bool exact) {
+  constexpr double near = 6;
   std::vector<double> distance(places.size());
-  const double limit = grid.size.maxCoeff();
-  parallel_for(places.size(), [&](std::size_t i) { distance[i] = distance_to_filled(grid, places[i], limit); });
+  parallel_for(places.size(), [&](std::size_t i) { distance[i] = distance_to_filled(grid, places[i], near); });
+  std::vector<std::size_t> far;
+  for (std::size_t i = 0; i < distance.size() && exact; ++i)
+    if (distance[i] >= near) far.push_back(i);
+  if (!far.empty()) {
+    std::vector<Vec3> boundary;
+    for (std::size_t b = 0; b < grid.filled.size(); ++b) {
+      if (!grid.filled[b]) continue;
+      const Vec3i block = grid.place(b);
+      bool exposed = false;
+      for (int axis = 0; axis < 3; ++axis)
+        for (int side : {-1, 1}) exposed = exposed || !grid.at(block + side * Vec3i::Unit(axis));
+      if (exposed) boundary.push_back(block.cast<double>());
+    }
+    parallel_for(far.size(), [&](std::size_t n) {
+      const Vec3& place = places[far[n]];
+      double least = std::numeric_limits<double>::infinity();
+      for (const Vec3& low : boundary)
+        least =
+            std::min(least, (low - place).cwiseMax(place - low - Vec3::Ones()).cwiseMax(Vec3::Zero()).squaredNorm());
+      distance[far[n]] = std::sqrt(least);
+    });
+  }
   std::sort(distance.begin(), distance.end());
   if (distance.empty()) return {};
   return {distance[static_cast<std::size_t>(0.99 * static_cast<double>(distance.size() - 1))], distance.back()};
 }
 
 // Fills simple blocks where the object sticks out.
-void grow_into_extremities(BlockGrid& grid, const BlockParts& parts, BlockCover& cover) {
+void grow_into_extremities(BlockGrid& grid, const BlockParts& parts, BlockCover& cover, float least_fraction) {
   const std::vector<float>& fraction = parts.fractions();
   for (bool grew = true; grew;) {
     grew = false;
@@ -118,7 +144,7 @@ void grow_into_extremities(BlockGrid& grid, const BlockParts& parts, BlockCover&
                      [&](std::size_t a, std::size_t b) { return fraction[a] > fraction[b]; });
     for (std::size_t b : candidates) {
       const Vec3i block = grid.place(b);
-      if (grid.filled[b] || fraction[b] < 0.06f || !grid.may_fill(block) || !cover.would_help(b)) continue;
+      if (grid.filled[b] || fraction[b] < least_fraction || !grid.may_fill(block) || !cover.would_help(b)) continue;
       if (!is_simple_flip(grid, block) || parts.joins_parts(grid, block)) continue;
       grid.filled[b] = 1;
       cover.add(b);
@@ -182,7 +208,7 @@ int genus_of(const BlockGrid& grid) { return static_cast<int>((2 - boundary_eule
 double score_of(const Candidate& candidate, int object_genus, int cells_per_block,
                 const std::vector<TargetSurface::Sample>& samples, double block_edge) {
   const int wrong = std::abs(genus_of(candidate.grid) - object_genus);
-  const Coverage cover = coverage(candidate.grid, to_block_places(samples, candidate.origin, block_edge));
+  const Coverage cover = coverage(candidate.grid, to_block_places(samples, candidate.origin, block_edge), false);
   const SingularityCounts singular = count_singularities(candidate.grid);
   const double blocks = static_cast<double>(candidate.grid.count());
   const double joints = static_cast<double>(count_joints(candidate.grid, *candidate.parts));
@@ -291,7 +317,9 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
   };
   {
     BlockCover cover = cover_of(BlockCover::Side::inside, 0.5);
-    grow_into_extremities(chosen.grid, chosen_parts, cover);
+    grow_into_extremities(chosen.grid, chosen_parts, cover, 0.06f);
+    BlockCover wide_cover = cover_of(BlockCover::Side::inside, 1.0);
+    grow_into_extremities(chosen.grid, chosen_parts, wide_cover, 0.01f);
   }
   if (options.anneal_sweeps > 0) {
     BlockCover inner = cover_of(BlockCover::Side::inside, 1.0), outer = cover_of(BlockCover::Side::outside, 1.0);
@@ -300,6 +328,14 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
                   fill_costs(chosen.grid, blocks, chosen_parts.fractions(), target, chosen.origin, block_edge), blocks,
                   chosen_parts, inner, outer, options.anneal_sweeps);
   }
+  const int found_genus = genus_of(chosen.grid);
+  if (found_genus != result.object_genus) {
+    std::vector<Vec3> places;
+    if (found_genus < result.object_genus)
+      for (const SurfaceHandle& handle : find_handles(surface, std::min(result.object_genus, most_handles)))
+        places.push_back((handle.centre - chosen.origin) / block_edge);
+    repair_genus(chosen.grid, result.object_genus, places, chosen_parts);
+  }
   progress.end();
   if (count_ill_composed(chosen.grid) != 0) throw InternalError("voxel polycube: the boundary is not a manifold");
 
@@ -307,7 +343,7 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
   const SingularityCounts singular = count_singularities(chosen.grid);
   result.singular_edges = singular.edges;
   result.singular_corners = singular.corners;
-  const Coverage cover = coverage(chosen.grid, to_block_places(target.samples(20000), chosen.origin, block_edge));
+  const Coverage cover = coverage(chosen.grid, to_block_places(target.samples(20000), chosen.origin, block_edge), true);
   result.coverage_p99 = cover.p99 * result.cells_per_block;
   result.coverage_max = cover.most * result.cells_per_block;
   Vec3i least = counts;
