@@ -26,7 +26,7 @@ int piece_at(const SamplePieces& pieces, const SampleRaster& raster, const Targe
   return best;
 }
 
-// How far the object, or what is around it, reaches behind a sample against its normal, in blocks and at most 3.
+// How far the object reaches behind a sample, or what is around it before it, in blocks and at most 3.
 double depth_behind(const SampleRaster& raster, const TargetSurface::Sample& sample, bool inside) {
   const Vec3 start = (sample.point - raster.lower) / raster.spacing;
   const Vec3 step = (inside ? -0.5 : 0.5) * sample.face_normal;
@@ -51,8 +51,9 @@ BlockCover::BlockCover(const SampleRaster& raster, const BlockMasks& masks, cons
       samples.size(),
       [&](std::size_t s) {
         const Vec3 place = (samples[s].point - origin) / block_edge;
-        const double radius = std::clamp(0.5 * depth_behind(raster, samples[s], side == Side::inside),
-                                         std::min(0.5, largest_radius), largest_radius);
+        const double thickness =
+            std::min(depth_behind(raster, samples[s], true), depth_behind(raster, samples[s], false));
+        const double radius = std::clamp(thickness / 3, std::min(0.5, largest_radius), largest_radius);
         const auto is_near = [&](const Vec3i& block) {
           const Vec3 low = block.cast<double>();
           return (low - place).cwiseMax(place - low - Vec3::Ones()).cwiseMax(Vec3::Zero()).squaredNorm() <=

@@ -13,7 +13,7 @@ namespace shellgrid {
 // Which samples of an object's surface are near a block of their own part: the filled blocks cover them from inside,
 // the empty ones from outside. Blocks of another finger, or beyond a bay or a sheet, do not count: a block covers a
 // sample within a radius when samples of the raster connect the two without crossing the surface, inside that radius.
-// Where the part is thin, the radius is half its thickness, from half a block on.
+// Where the part is thin, or narrow what is before it, the radius is a third of that, from half a block on.
 class BlockCover {
  public:
   enum class Side { inside, outside };
