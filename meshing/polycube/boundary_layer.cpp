@@ -141,12 +141,7 @@ class LayerBuilder {
           [&](std::size_t r) {
             HexahedraOptimization optimization = optimization_of(regions[r]);
             VertexMatrix points = points_of(regions[r]);
-            for (int step = 0; step < 6; ++step) {
-              const double lowest = optimization.least_corner_jacobian(points);
-              const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
-              optimization.minimize(points, 40,
-                                    lowest > 1e-3 ? 0 : 2 * std::sqrt(reach * (reach - std::min(lowest, 0.0))));
-            }
+            for (int step = 0; step < 6; ++step) minimize_folded(optimization, points, 40);
             put(regions[r], points);
           },
           1);
@@ -202,21 +197,7 @@ class LayerBuilder {
     // Regions share no point.
     const std::vector<HexahedraRegion> regions = regions_around(cells_, around_, poor, rings);
     std::vector<std::vector<QuadAttraction>> pulled(regions.size());
-    if (!keep_outer) {
-      std::vector<std::int32_t> region_of(static_cast<std::size_t>(grid_.points.rows()), -1), local(region_of);
-      for (std::size_t r = 0; r < regions.size(); ++r)
-        for (std::size_t p = 0; p < regions[r].points.size(); ++p) {
-          region_of[regions[r].points[p]] = static_cast<std::int32_t>(r);
-          local[regions[r].points[p]] = static_cast<std::int32_t>(p);
-        }
-      for (QuadAttraction pull : pulls(16)) {
-        const std::int32_t r = region_of[pull.corners[0]];
-        if (r < 0) continue;
-        bool here = true;
-        for (std::int32_t& corner : pull.corners) here = here && region_of[corner] == r, corner = local[corner];
-        if (here) pulled[r].push_back(pull);
-      }
-    }
+    if (!keep_outer) pulled = pulls_of(regions);
     parallel_for(
         regions.size(),
         [&](std::size_t r) {
@@ -258,18 +239,26 @@ class LayerBuilder {
           const double cost = cost_of(region);
           put(region, smoothed(region));
           HexahedraOptimization optimization = optimization_of(region);
-          constexpr int steps = 8;
+          constexpr int steps = 12;
           VertexMatrix points;
           for (int step = 0; step < steps; ++step) {
-            attract(region, std::pow(4.0, 0.5 * step), optimization);
+            attract(region, std::pow(2.0, step), optimization);
             points = points_of(region);
-            const bool safe = step + 2 >= steps && optimization.least_corner_jacobian(points) > 1e-3;
+            const bool safe = step >= 6 && optimization.least_corner_jacobian(points) > 1e-3;
             optimization.minimize(points, 30, safe ? 0 : std::max(0.3 * std::pow(0.6, step), 1e-3));
             put(region, points);
           }
-          const bool valid = std::all_of(region.cells.begin(), region.cells.end(),
-                                         [&](std::int32_t c) { return is_above(c, least_relative_jacobian); });
-          if (!valid || cost_of(region) > cost) put(region, before);
+          const auto is_bad = [&](std::int32_t c) { return !is_above(c, least_relative_jacobian); };
+          for (int round = 0; round < 4 && std::any_of(region.cells.begin(), region.cells.end(), is_bad); ++round) {
+            for (std::size_t n = 0; n < region.cells.size(); ++n)
+              if (is_bad(region.cells[n])) inside_[region.cells[n]] = 1, optimization.cell_weight[n] *= 4;
+            optimization.inside = inside_of(region);
+            attract(region, 64, optimization);
+            minimize_folded(optimization, points, 40);
+            put(region, points);
+          }
+          if (std::any_of(region.cells.begin(), region.cells.end(), is_bad) || cost_of(region) > cost)
+            put(region, before);
         },
         1);
   }
@@ -432,6 +421,33 @@ class LayerBuilder {
     return result;
   }
 
+  // With ε for the least determinant there is: [Garanzha2021] eq. 9.
+  static void minimize_folded(const HexahedraOptimization& optimization, VertexMatrix& points, int iterations) {
+    const double lowest = optimization.least_corner_jacobian(points);
+    const double reach = 0.5 * (std::sqrt(1e-12 + lowest * lowest) + lowest) + 0.01;
+    optimization.minimize(points, iterations,
+                          lowest > 1e-3 ? 0 : 2 * std::sqrt(reach * (reach - std::min(lowest, 0.0))));
+  }
+
+  // The pulls of uncovered parts on quadrilaterals within each region.
+  std::vector<std::vector<QuadAttraction>> pulls_of(const std::vector<HexahedraRegion>& regions) const {
+    std::vector<std::vector<QuadAttraction>> result(regions.size());
+    std::vector<std::int32_t> region_of(static_cast<std::size_t>(grid_.points.rows()), -1), local(region_of);
+    for (std::size_t r = 0; r < regions.size(); ++r)
+      for (std::size_t p = 0; p < regions[r].points.size(); ++p) {
+        region_of[regions[r].points[p]] = static_cast<std::int32_t>(r);
+        local[regions[r].points[p]] = static_cast<std::int32_t>(p);
+      }
+    for (QuadAttraction pull : pulls(16)) {
+      const std::int32_t r = region_of[pull.corners[0]];
+      if (r < 0) continue;
+      bool here = true;
+      for (std::int32_t& corner : pull.corners) here = here && region_of[corner] == r, corner = local[corner];
+      if (here) result[r].push_back(pull);
+    }
+    return result;
+  }
+
   // How far a region is from what is wanted: links off the normal, points off the surface, cells of poor shape.
   double cost_of(const HexahedraRegion& region) const {
     double cost = 0;
@@ -449,28 +465,29 @@ class LayerBuilder {
     return cost;
   }
 
-  // A region's points as means of their neighbours, those of the boundary of their neighbours there; outer points
-  // above their twins.
+  // A region's points where the polycube has them, displaced as smoothly as the points around allow; outer points above
+  // their twins.
   VertexMatrix smoothed(const HexahedraRegion& region) const {
     VertexMatrix points = points_of(region);
-    std::vector<std::set<std::int32_t>> inside(region.points.size()), on_boundary(region.points.size());
+    std::vector<std::set<std::int32_t>> around(region.points.size());
     for (std::size_t n = 0; n < region.cells.size(); ++n)
       for (int k = 0; k < 8; ++k)
-        for (int axis = 0; axis < 3; ++axis) {
-          const std::int32_t a = region.local[n][k], b = region.local[n][k ^ 1 << axis];
-          if (!is_layer(region.cells[n]))
-            inside[a].insert(b);
-          else if (axis < 2 && k < 4)
-            on_boundary[a].insert(b);
-        }
-    for (int sweep = 0; sweep < 100; ++sweep)
+        for (int axis = 0; axis < 3; ++axis)
+          if (!is_layer(region.cells[n])) around[region.local[n][k]].insert(region.local[n][k ^ 1 << axis]);
+    const auto lattice = [&](std::size_t p) {
+      return grid_.core.point_lattice[region.points[p]].cast<double>().transpose();
+    };
+    for (std::size_t p = 0; p < region.points.size(); ++p)
+      if (region.points[p] < core_points()) points.row(p) -= lattice(p);
+    for (int sweep = 0; sweep < 200; ++sweep)
       for (std::size_t p = 0; p < region.points.size(); ++p) {
-        const std::set<std::int32_t>& around = on_boundary[p].empty() ? inside[p] : on_boundary[p];
-        if (region.locked[p] || region.points[p] >= core_points() || around.empty()) continue;
+        if (region.locked[p] || around[p].empty()) continue;
         Vec3 mean = Vec3::Zero();
-        for (std::int32_t n : around) mean += points.row(n).transpose();
-        points.row(p) = mean.transpose() / static_cast<double>(around.size());
+        for (std::int32_t n : around[p]) mean += points.row(n).transpose();
+        points.row(p) = mean.transpose() / static_cast<double>(around[p].size());
       }
+    for (std::size_t p = 0; p < region.points.size(); ++p)
+      if (region.points[p] < core_points()) points.row(p) += lattice(p);
     std::vector<Vec3> normals(region.points.size(), Vec3::Zero());
     for (std::size_t n = 0; n < region.cells.size(); ++n) {
       if (!is_layer(region.cells[n])) continue;
