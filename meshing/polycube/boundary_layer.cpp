@@ -231,23 +231,38 @@ class LayerBuilder {
   // that is valid and better.
   void restart(const std::vector<std::int32_t>& poor, int rings) {
     const std::vector<HexahedraRegion> regions = regions_around(cells_, around_, poor, rings);
+    std::vector<VertexMatrix> before(regions.size());
+    std::vector<double> cost(regions.size());
+    constexpr int steps = 12, soft_steps = 6, last_steps = 3;
+    const auto draw = [&](const HexahedraRegion& region, HexahedraOptimization& optimization, int step) {
+      attract(region, std::pow(2.0, step), optimization);
+      VertexMatrix points = points_of(region);
+      const bool safe = step >= soft_steps && optimization.least_corner_jacobian(points) > 1e-3;
+      optimization.minimize(points, 30, safe ? 0 : std::max(0.3 * std::pow(0.6, step), 1e-3));
+      put(region, points);
+    };
+    parallel_for(
+        regions.size(),
+        [&](std::size_t r) {
+          before[r] = points_of(regions[r]);
+          cost[r] = cost_of(regions[r]);
+          put(regions[r], smoothed(regions[r]));
+          HexahedraOptimization optimization = optimization_of(regions[r]);
+          for (int step = 0; step < soft_steps; ++step) draw(regions[r], optimization, step);
+        },
+        1);
+    std::vector<std::vector<QuadAttraction>> pulled = pulls_of(regions);
     parallel_for(
         regions.size(),
         [&](std::size_t r) {
           const HexahedraRegion& region = regions[r];
-          const VertexMatrix before = points_of(region);
-          const double cost = cost_of(region);
-          put(region, smoothed(region));
           HexahedraOptimization optimization = optimization_of(region);
-          constexpr int steps = 12;
-          VertexMatrix points;
-          for (int step = 0; step < steps; ++step) {
-            attract(region, std::pow(2.0, step), optimization);
-            points = points_of(region);
-            const bool safe = step >= 6 && optimization.least_corner_jacobian(points) > 1e-3;
-            optimization.minimize(points, 30, safe ? 0 : std::max(0.3 * std::pow(0.6, step), 1e-3));
-            put(region, points);
+          optimization.quad_attractions = std::move(pulled[r]);
+          for (int step = soft_steps; step < steps; ++step) {
+            if (step + last_steps == steps) optimization.quad_attractions.clear();
+            draw(region, optimization, step);
           }
+          VertexMatrix points = points_of(region);
           const auto is_bad = [&](std::int32_t c) { return !is_above(c, least_relative_jacobian); };
           for (int round = 0; round < 4 && std::any_of(region.cells.begin(), region.cells.end(), is_bad); ++round) {
             for (std::size_t n = 0; n < region.cells.size(); ++n)
@@ -257,8 +272,8 @@ class LayerBuilder {
             minimize_folded(optimization, points, 40);
             put(region, points);
           }
-          if (std::any_of(region.cells.begin(), region.cells.end(), is_bad) || cost_of(region) > cost)
-            put(region, before);
+          if (std::any_of(region.cells.begin(), region.cells.end(), is_bad) || cost_of(region) > cost[r])
+            put(region, before[r]);
         },
         1);
   }
