@@ -42,9 +42,7 @@ BlockParts::BlockParts(const SampleRaster& raster, const BlockMasks& masks, cons
           const int across = (edge - 1) * BlockMask::stride[axis];
           const std::uint64_t leaving = mask.open(main_[b], axis) & ~BlockMask::has_next[axis];
           if (leaving >> across & main_[index(next)]) continue;
-          Vec3i low = block - Vec3i::Ones(), high = next + Vec3i::Ones();
-          low[axis] = block[axis], high[axis] = next[axis];
-          if (!are_connected(block, next, low, high)) parted_[b] |= 1 << axis;
+          if (!are_connected(block, next, block - Vec3i::Ones(), next + Vec3i::Ones())) parted_[b] |= 1 << axis;
         }
       },
       1024);
@@ -54,7 +52,7 @@ bool BlockParts::are_connected(const Vec3i& a, const Vec3i& b, const Vec3i& low,
   const Vec3i first = shift_ + edge * low;
   const Vec3i size = edge * (high - low + Vec3i::Ones());
   const auto local_index = [&](const Vec3i& s) { return (s.z() * size.y() + s.y()) * size.x() + s.x(); };
-  std::vector<std::uint8_t> state(static_cast<std::size_t>(size.x()) * size.y() * size.z(), 0);  // 1: wanted, 2: seen
+  std::vector<std::uint8_t> state(static_cast<std::size_t>(size.x()) * size.y() * size.z());  // 1: wanted, 2: seen
   std::vector<Vec3i> stack;
   const auto each_of = [&](const Vec3i& block, const auto& visit) {
     for (Mask rest = main_[index(block)]; rest; rest &= rest - 1) {
@@ -62,26 +60,39 @@ bool BlockParts::are_connected(const Vec3i& a, const Vec3i& b, const Vec3i& low,
       visit(Vec3i(edge * (block - low) + Vec3i(bit & 3, bit >> 2 & 3, bit >> 4)));
     }
   };
-  each_of(b, [&](const Vec3i& s) { state[local_index(s)] = 1; });
-  each_of(a, [&](const Vec3i& s) { state[local_index(s)] = 2, stack.push_back(s); });
-  while (!stack.empty()) {
-    const Vec3i s = stack.back();
-    stack.pop_back();
-    for (int axis = 0; axis < 3; ++axis)
-      for (int side : {-1, 1}) {
-        const Vec3i next = s + side * Vec3i::Unit(axis);
-        if (next[axis] < 0 || next[axis] >= size[axis]) continue;
-        const Vec3i place = first + next;
-        const std::uint8_t lower_flags = raster_.at(side > 0 ? Vec3i(first + s) : place);
-        if (!raster_.inside(place) || (lower_flags >> axis & 1)) continue;
-        std::uint8_t& seen = state[local_index(next)];
-        if (seen == 1) return true;
-        if (seen == 2) continue;
-        seen = 2;
-        stack.push_back(next);
-      }
-  }
-  return false;
+  // Whether the samples that `from` is connected to reach `to`, or else end within the box: such an island is a bit of
+  // a part thinner than the raster, no part of its own.
+  const auto reaches_or_ends = [&](const Vec3i& from, const Vec3i& to) {
+    std::fill(state.begin(), state.end(), 0);
+    each_of(to, [&](const Vec3i& s) { state[local_index(s)] = 1; });
+    each_of(from, [&](const Vec3i& s) { state[local_index(s)] = 2, stack.push_back(s); });
+    bool leaves = false;
+    while (!stack.empty()) {
+      const Vec3i s = stack.back();
+      stack.pop_back();
+      for (int axis = 0; axis < 3; ++axis)
+        for (int side : {-1, 1}) {
+          const Vec3i next = s + side * Vec3i::Unit(axis);
+          const Vec3i place = first + next;
+          const std::uint8_t lower_flags = raster_.at(side > 0 ? Vec3i(first + s) : place);
+          if (!raster_.inside(place) || (lower_flags >> axis & 1)) continue;
+          if (next[axis] < 0 || next[axis] >= size[axis]) {
+            leaves = true;
+            continue;
+          }
+          std::uint8_t& seen = state[local_index(next)];
+          if (seen == 1) {
+            stack.clear();
+            return true;
+          }
+          if (seen == 2) continue;
+          seen = 2;
+          stack.push_back(next);
+        }
+    }
+    return !leaves;
+  };
+  return reaches_or_ends(a, b) || reaches_or_ends(b, a);
 }
 
 bool BlockParts::joins_parts(const BlockGrid& grid, const Vec3i& block) const {

@@ -11,8 +11,8 @@
 namespace shellgrid {
 
 // Which neighbouring blocks hold the same part of an object. A block stands for the largest connected set of its
-// samples; two blocks that share a face are parted where these sets are not connected within the blocks around both:
-// filling both would join what is apart, like two fingers that nearly touch.
+// samples; two blocks that share a face are parted where these sets are not connected within the blocks around both,
+// though both go on beyond: filling both would join what is apart, like two fingers that nearly touch.
 class BlockParts {
  public:
   static constexpr int samples_per_block = BlockMask::samples_per_block;

@@ -105,6 +105,11 @@ VoxelPolycube automatic_polycube(const TriangleMesh& surface, const Options& opt
                     "mm are lost; more nodes may find them, {}",
                     polycube.genus, polycube.object_genus,
                     number_text(std::round(20 * polycube.spacing * polycube.cells_per_block) / 10), asked));
+  if (polycube.coverage_max > 2.5 * polycube.cells_per_block)
+    run.progress().warn(fmt::format(
+        "the surface lies up to {:.1f} cells from the polycube: parts thinner than {} mm are lost; more "
+        "nodes may find them, {}",
+        polycube.coverage_max, number_text(std::round(2.5 * polycube.spacing * polycube.cells_per_block) / 10), asked));
   return polycube;
 }
 
