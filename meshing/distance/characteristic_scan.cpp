@@ -127,6 +127,10 @@ CharacteristicScan::CharacteristicScan(const TriangleMesh& mesh, const GridFrame
   std::vector<std::int32_t> next(outgoing_.begin(), outgoing_.end() - 1);
   for (std::int32_t h = 0; h < half_edge_count; ++h) half_edges_[next[from(h)]++] = h;
 
+  std::vector<char> regular(3 * face_count);
+  parallel_for(regular.size(), [&](std::size_t h) { regular[h] = is_regular(static_cast<int>(h)); });
+  closed_ = std::all_of(regular.begin(), regular.end(), [](char flag) { return flag != 0; });
+
   // Faces, then edges, then vertices, whatever thread looks at them.
   constexpr std::size_t chunk = 2048;
   const std::size_t face_parts = (face_count + chunk - 1) / chunk, vertex_parts = (vertex_count + chunk - 1) / chunk;
@@ -161,8 +165,17 @@ CharacteristicScan::CharacteristicScan(const TriangleMesh& mesh, const GridFrame
   distribute(lower, upper);
 }
 
+bool CharacteristicScan::is_regular(int half_edge) const {
+  const int a = from(half_edge), b = to(half_edge);
+  int along = 0, against = 0;
+  for (std::int32_t i = outgoing_[a]; i < outgoing_[a + 1]; ++i) along += to(half_edges_[i]) == b;
+  for (std::int32_t i = outgoing_[b]; i < outgoing_[b + 1]; ++i) against += to(half_edges_[i]) == a;
+  return along == 1 && against == 1;
+}
+
 int CharacteristicScan::twin(int half_edge) const {
   const int a = from(half_edge), b = to(half_edge);
+  if (!closed_ && !is_regular(half_edge)) return -1;
   for (std::int32_t i = outgoing_[b]; i < outgoing_[b + 1]; ++i)
     if (to(half_edges_[i]) == a) return half_edges_[i];
   return -1;
@@ -211,11 +224,12 @@ void CharacteristicScan::add_face(int face, std::vector<Piece>& pieces) const {
 }
 
 void CharacteristicScan::add_edge(int half_edge, std::vector<Piece>& pieces) const {
-  if (from(half_edge) > to(half_edge)) return;  // its twin's turn
+  const int opposite = twin(half_edge);
+  if (opposite >= 0 && from(half_edge) > to(half_edge)) return;  // its twin's turn
   const std::int32_t feature = mesh_.face_count() + half_edge;
   const std::vector<Vec3> ends = {position(from(half_edge)), position(to(half_edge))};
   if (ends[0] == ends[1]) return;
-  const Vec3 &n = normals_[half_edge / 3], &other = normals_[twin(half_edge) / 3];
+  const Vec3 n = normals_[half_edge / 3], other = opposite < 0 ? Vec3(Vec3::Zero()) : normals_[opposite / 3];
   if (n.isZero(0) || other.isZero(0)) {
     // Where a face's plane is not known, the box around all that may be in reach.
     const Vec3 out = Vec3::Constant(reach_);
@@ -395,7 +409,9 @@ std::int64_t CharacteristicScan::scan(const Block& block, double* squared_distan
     } else if (piece.feature < 4 * face_count) {
       const int h = piece.feature - face_count, other = twin(h);
       const Vec3 a = position(from(h)) - origin, b = position(to(h)) - origin;
-      const Vec3 inward[2] = {inner_normal(h), inner_normal(other)};
+      // An edge without a wedge takes all around it.
+      const Vec3 inward[2] = {other < 0 ? Vec3(Vec3::Zero()) : inner_normal(h),
+                              other < 0 ? Vec3(Vec3::Zero()) : inner_normal(other)};
       const Vec3 along = (b - a).normalized();
       const Vec3 across = inward[0].isZero(0) ? along.unitOrthogonal() : inward[0];
       const Vec3 upward = along.cross(across);

@@ -12,6 +12,7 @@ namespace shellgrid {
 // nearest point lies within a face, one looks straight down on it: the point stands in the prism over the face.
 // Likewise for the wedge over an edge and the cone over a vertex. Only the grid points in a feature's prism, wedge or
 // cone are compared with it. Source: [Mauch2000].
+// Around an edge that has not two faces that agree, and so no wedge, all grid points in reach are compared with it.
 // Deviates: regions are widened by 10⁻⁷ grid intervals instead of being trusted to meet; grid points are taken in
 // blocks, which do not depend on each other.
 class CharacteristicScan {
@@ -69,7 +70,8 @@ class CharacteristicScan {
 
   int from(int half_edge) const { return mesh_.faces(half_edge / 3, half_edge % 3); }
   int to(int half_edge) const { return mesh_.faces(half_edge / 3, (half_edge % 3 + 1) % 3); }
-  int twin(int half_edge) const;
+  int twin(int half_edge) const;  // −1 where the edge has not two faces that agree
+  bool is_regular(int half_edge) const;
   Vec3 position(int vertex) const { return vertices_.row(vertex).transpose(); }
   Vec3 inner_normal(int half_edge) const;  // in its face's plane; 0 for a degenerate face
 
@@ -79,6 +81,7 @@ class CharacteristicScan {
   std::vector<Vec3> normals_;           // of faces, unit; 0 for a degenerate one
   std::vector<std::int32_t> outgoing_;  // where the half-edges that leave a vertex begin in half_edges_
   std::vector<std::int32_t> half_edges_;
+  bool closed_ = true;  // every edge is regular
   std::vector<Piece> pieces_;
   std::vector<std::int32_t> by_block_;  // indices of pieces
   std::vector<Block> blocks_;

@@ -6,11 +6,13 @@
 #include <Eigen/Geometry>
 #include <array>
 #include <cmath>
+#include <optional>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/distance/characteristic_scan.h"
 #include "meshing/distance/winding_columns.h"
+#include "meshing/distance/winding_number.h"
 #include "meshing/surface/closest_point.h"
 #include "meshing/surface/repair.h"
 
@@ -29,8 +31,14 @@ struct LeafFeatures {
   std::array<std::int32_t, leaf_size> feature;  // -1: beyond the band
 };
 
+// What tells inside from outside: one of the two.
+struct Sides {
+  std::optional<WindingColumns> columns;
+  std::optional<WindingNumber> number;
+};
+
 // Finds the leaves of one block that hold samples of the band, within the grid's bounds.
-std::vector<LeafFeatures> scan_block(const CharacteristicScan& scan, const WindingColumns& columns,
+std::vector<LeafFeatures> scan_block(const CharacteristicScan& scan, const Sides& sides, const GridFrame& frame,
                                      const TwoLevelGrid<float>& grid, const CharacteristicScan::Block& block,
                                      const double (&band2)[2], std::int64_t& compared) {
   constexpr int edge = CharacteristicScan::block_edge, leaves = edge / leaf_edge;
@@ -38,9 +46,10 @@ std::vector<LeafFeatures> scan_block(const CharacteristicScan& scan, const Windi
   std::vector<double> squared_distance(CharacteristicScan::block_size);
   std::vector<std::int32_t> feature(CharacteristicScan::block_size, -1);
   std::vector<std::uint32_t> inside(edge * edge);  // a bit for each sample of a line along z
-  for (int line = 0; line < edge * edge; ++line) {
+  if (!sides.columns) std::fill(squared_distance.begin(), squared_distance.end(), std::max(band2[0], band2[1]));
+  for (int line = 0; sides.columns && line < edge * edge; ++line) {
     bool result[edge];
-    columns.inside(corner.x() + line / edge, corner.y() + line % edge, corner.z(), edge, result);
+    sides.columns->inside(corner.x() + line / edge, corner.y() + line % edge, corner.z(), edge, result);
     for (int z = 0; z < edge; ++z) {
       squared_distance[line * edge + z] = band2[result[z]];
       inside[line] |= static_cast<std::uint32_t>(result[z]) << z;
@@ -54,11 +63,28 @@ std::vector<LeafFeatures> scan_block(const CharacteristicScan& scan, const Windi
     LeafFeatures leaf;
     leaf.leaf = block.coordinate * leaves + local;
     if (!grid.contains_leaf(leaf.leaf)) continue;
+    const auto line_start = [&](int line) {
+      return ((local.x() * leaf_edge + line / leaf_edge) * edge + local.y() * leaf_edge + line % leaf_edge) * edge +
+             local.z() * leaf_edge;
+    };
+    if (sides.number) {
+      bool reached = false;
+      for (int line = 0; line < leaf_edge * leaf_edge; ++line)
+        for (int z = 0; z < leaf_edge; ++z) reached |= feature[line_start(line) + z] >= 0;
+      if (!reached) continue;
+      for (int line = 0; line < leaf_edge * leaf_edge; ++line) {
+        const int from = line_start(line);
+        for (int z = 0; z < leaf_edge; ++z) {
+          const Vec3i at = leaf.leaf * leaf_edge + Vec3i(line / leaf_edge, line % leaf_edge, z);
+          const bool within = sides.number->inside(frame.to_world(at));
+          inside[from / edge] |= static_cast<std::uint32_t>(within) << (local.z() * leaf_edge + z);
+          if (!(squared_distance[from + z] < band2[within])) feature[from + z] = -1;
+        }
+      }
+    }
     bool any = false;
     for (int line = 0; line < leaf_edge * leaf_edge; ++line) {
-      const int from =
-          ((local.x() * leaf_edge + line / leaf_edge) * edge + local.y() * leaf_edge + line % leaf_edge) * edge +
-          local.z() * leaf_edge;
+      const int from = line_start(line);
       std::uint64_t active = 0;
       for (int z = 0; z < leaf_edge; ++z) {
         leaf.feature[line * leaf_edge + z] = feature[from + z];
@@ -113,7 +139,11 @@ class VertexSearch {
 
 DistanceField compute_distance_field(const TriangleMesh& mesh, const DistanceOptions& options,
                                      DistanceStatistics& statistics, Progress& progress) {
-  require_closed_surface(mesh, true);
+  const bool closed = options.sign == SignRule::closed;
+  if (closed)
+    require_closed_surface(mesh, true);
+  else
+    require_outward_triangles(mesh);
   if (!(options.voxel > 0 && options.inside_band > 0 && options.outside_band > 0))
     throw InputError("voxel and both bands must be positive");
   DistanceField field;
@@ -137,7 +167,11 @@ DistanceField compute_distance_field(const TriangleMesh& mesh, const DistanceOpt
   field.nearest_vertex = TwoLevelGrid<std::int32_t>(leaf_lower, leaf_counts, -1);
   field.nearest_point = TwoLevelGrid<Vec3f>(leaf_lower, leaf_counts, Vec3f::Zero());
 
-  const WindingColumns columns(mesh, field.frame, leaf_lower * leaf_edge, leaf_upper * leaf_edge - Vec3i::Ones());
+  Sides sides_of;
+  if (closed)
+    sides_of.columns.emplace(mesh, field.frame, leaf_lower * leaf_edge, leaf_upper * leaf_edge - Vec3i::Ones());
+  else
+    sides_of.number.emplace(mesh);
   constexpr int block_bits = CharacteristicScan::block_bits - 3;
   const CharacteristicScan scan(mesh, field.frame, std::max(options.inside_band, options.outside_band),
                                 leaf_lower.unaryExpr([](int i) { return i >> block_bits; }),
@@ -155,7 +189,7 @@ DistanceField compute_distance_field(const TriangleMesh& mesh, const DistanceOpt
   parallel_for(
       blocks.size(),
       [&](std::size_t b) {
-        parts[b] = scan_block(scan, columns, field.distance, blocks[b], band2, compared[b]);
+        parts[b] = scan_block(scan, sides_of, field.frame, field.distance, blocks[b], band2, compared[b]);
         progress.advance();
       },
       1);

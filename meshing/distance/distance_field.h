@@ -20,10 +20,17 @@ struct DistanceField {
   TwoLevelGrid<Vec3f> nearest_point;          // mm
 };
 
+enum class SignRule {
+  closed,          // the surface must be closed and oriented; inside is what it winds around
+  winding_number,  // any triangles that look outward, with gaps, doubled or crossing: inside is where the generalised
+                   // winding number is one half or more
+};
+
 struct DistanceOptions {
   double voxel = 0.4;         // grid interval d_0, mm
   double inside_band = 4.8;   // mm, > 0
   double outside_band = 0.8;  // mm, > 0
+  SignRule sign = SignRule::closed;
 };
 
 // How much of the grid was visited.
@@ -40,7 +47,9 @@ struct DistanceStatistics {
 // Computes the field around a closed, outward surface; grid points are voxel·(i, j, k). The nearest point is exact to
 // rounding; the sign is the winding number along z, so sharp edges, needles and thin walls do not disturb it. The
 // nearest vertex is the lowest of all mesh vertices nearest to the nearest point.
-// Throws: InputError for a surface that is not closed, oriented and outward, or more than 2³¹ samples.
+// With SignRule::winding_number the surface may be any heap of triangles, and the nearest point is exact still.
+// Throws: InputError for a surface that is not closed, oriented and outward where it must be; that has no faces or
+// looks inward; for too many samples.
 DistanceField compute_distance_field(const TriangleMesh& mesh, const DistanceOptions& options,
                                      DistanceStatistics& statistics, Progress& progress = no_progress());
 

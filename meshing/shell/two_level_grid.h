@@ -42,6 +42,8 @@ class TwoLevelGrid {
   const Vec3i& lower_leaf() const { return lower_leaf_; }
   const Vec3i& leaf_counts() const { return leaf_counts_; }
   const T& background() const { return background_; }
+  // The dense top array: leaf indices, −1 where there is no leaf, z fastest.
+  const std::int32_t* top_cells() const { return top_.data(); }
   int leaf_count() const { return static_cast<int>(leaf_coordinates_.size()); }
 
   // Index of the leaf with these leaf coordinates, or -1 where none is allocated.

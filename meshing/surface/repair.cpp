@@ -404,6 +404,12 @@ void require_closed_surface(const TriangleMesh& mesh, bool several_components) {
   if (enclosed_volume(mesh) < 0) throw InputError("the mesh's faces look inward; try sg-prepare, which turns them");
 }
 
+void require_outward_triangles(const TriangleMesh& mesh) {
+  require_sound(mesh);
+  require_not_flat(mesh);
+  if (enclosed_volume(mesh) < 0) throw InputError("the mesh's faces look inward; try sg-prepare, which turns them");
+}
+
 TriangleMesh repair_surface(const TriangleMesh& input, bool close_holes, RepairReport& report, Progress& progress) {
   require_sound(input);
   TriangleMesh mesh = input;

@@ -51,6 +51,10 @@ SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::v
 // unless `several_components`. Self-intersection is not looked at.
 void require_closed_surface(const TriangleMesh& mesh, bool several_components = false);
 
+// Throws InputError unless the mesh has faces of finite corners, and encloses more than nothing by its triangles'
+// signed volume.
+void require_outward_triangles(const TriangleMesh& mesh);
+
 // Volume enclosed, mm³; negative where faces look inward.
 double enclosed_volume(const TriangleMesh& mesh);
 

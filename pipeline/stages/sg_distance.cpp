@@ -17,6 +17,7 @@ using namespace shellgrid;
 int main(int argc, char** argv) {
   std::string surface_path;
   DistanceOptions options;
+  std::string sign = "closed";
   StageProgram program("sg-distance",
                        "computes the signed distance, nearest point and nearest vertex around a surface");
   program.input("SURFACE", surface_path, "closed mesh, as sg-prepare writes it");
@@ -25,9 +26,14 @@ int main(int argc, char** argv) {
   program.option("--voxel", options.voxel, "mm", "grid interval", 1e-6, 1e6);
   program.option("--inside", options.inside_band, "mm", "width of the band inside the surface", 1e-6, 1e6);
   program.option("--outside", options.outside_band, "mm", "width of the band outside the surface", 1e-6, 1e6);
+  program.option("--sign", sign,
+                 "closed: the surface must be; winding-number: any triangles that look outward, with gaps, doubled or "
+                 "crossing",
+                 {"closed", "winding-number"});
   program.example("sg-distance surface.ply -o distance.vdb --voxel 0.4 --inside 4.8 --outside 0.8",
                   "a shell of twelve voxels");
   return program.run(argc, argv, [&](StageRun& run) {
+    options.sign = sign == "closed" ? SignRule::closed : SignRule::winding_number;
     run.start_timer("read");
     const TriangleMesh surface = read_mesh(surface_path).mesh;
     run.start_timer("distance");

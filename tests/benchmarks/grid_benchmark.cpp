@@ -5,11 +5,17 @@
 // Prints CSV. Places: `random` anywhere in the box; `band` at random in the band; `rays` steps of one interval along
 // rays that cross the box. `bytes_over_leaves` is a grid's memory over that of its samples in leaves; `ratio` is the
 // time over this project's; `differing` counts look-ups whose value is not the same to rounding.
+// `march`: the same rays as a whole, for the nearest samples in leaves: empty leaves are skipped by this project's
+// LeafMarch, OpenVDB's VolumeRayIntersector, NanoVDB's TreeMarcher, or not at all (`look-ups`: the two-level grid's
+// accessor at every step). Nanoseconds a step of the ray; `differing` is the difference in samples met, in samples.
 #include <fmt/format.h>
+#include <nanovdb/util/HDDA.h>
 #include <nanovdb/util/OpenToNanoVDB.h>
+#include <nanovdb/util/Ray.h>
 #include <nanovdb/util/SampleFromVoxels.h>
 #include <openvdb/openvdb.h>
 #include <openvdb/tools/Interpolation.h>
+#include <openvdb/tools/RayIntersector.h>
 
 #include <cmath>
 
@@ -17,6 +23,7 @@
 #include "meshing/core/random.h"
 #include "meshing/distance/distance_field.h"
 #include "meshing/formats/mesh_file.h"
+#include "meshing/shell/leaf_march.h"
 #include "tests/support/timing.h"
 
 using namespace shellgrid;
@@ -58,6 +65,25 @@ std::vector<Places> make_places(const TwoLevelGrid<float>& grid, std::size_t cou
   for (Places& places : all)
     for (const Vec3f& p : places.points) places.nearest.push_back((p.array() + 0.5f).floor().cast<int>());
   return all;
+}
+
+struct Ray {
+  Vec3 origin, step;
+  int count;
+};
+
+// Straight across the box.
+std::vector<Ray> make_rays(const TwoLevelGrid<float>& grid, std::size_t count) {
+  const Vec3 lower = 8.0 * grid.lower_leaf().cast<double>();
+  const Vec3 upper = lower + 8.0 * grid.leaf_counts().cast<double>();
+  RandomStream random(73);
+  std::vector<Ray> rays;
+  while (rays.size() < count) {
+    const Vec3 a = draw_in(random, lower, upper), b = draw_in(random, lower, upper);
+    const int steps = static_cast<int>((b - a).norm());
+    if (steps > 8) rays.push_back({a, (b - a).normalized(), steps});
+  }
+  return rays;
 }
 
 constexpr int grids = 3;
@@ -169,6 +195,89 @@ int main(int argc, char** argv) {
         std::fflush(stdout);
       }
     }
+
+    const std::vector<Ray> rays = make_rays(ours, count / 100);
+    double steps = 0;
+    for (const Ray& ray : rays) steps += ray.count;
+    const auto nearest = [](const Ray& ray, int n) -> Vec3i {
+      return (ray.origin + n * ray.step).array().unaryExpr([](double x) { return std::floor(x + 0.5); }).cast<int>();
+    };
+    const char* const methods[4] = {"two-level", "OpenVDB", "NanoVDB", "look-ups"};
+    std::vector<double> seconds[4];
+    double sums[4], met[4];
+    openvdb::tools::VolumeRayIntersector<openvdb::FloatGrid> intersector(*open);
+    for (int run = 0; run < runs; ++run)
+      for (int method = 0; method < 4; ++method) {
+        double sum = 0;
+        std::int64_t samples = 0;
+        seconds[method].push_back(test::seconds_of([&] {
+          const openvdb::FloatGrid::ConstAccessor open_accessor = open->getConstAccessor();
+          nanovdb::FloatGrid::AccessorType nano_accessor = nano.getAccessor();
+          TwoLevelGrid<float>::Accessor accessor(ours);
+          for (const Ray& ray : rays) {
+            const double last = ray.count - 1;
+            if (method == 0) {
+              for_each_sample_along(ours, ray.origin, ray.step, ray.count, [&](int, float value) {
+                sum += value;
+                ++samples;
+              });
+            } else if (method == 1) {
+              // Its voxels reach from their index to the next.
+              const openvdb::math::Ray<double> line(
+                  openvdb::Vec3d(ray.origin.x() + 0.5, ray.origin.y() + 0.5, ray.origin.z() + 0.5),
+                  openvdb::Vec3d(ray.step.x(), ray.step.y(), ray.step.z()), 1e-9, last);
+              if (!intersector.setIndexRay(line)) continue;
+              double begin = 0, end = 0;
+              int next = 0;
+              while (intersector.march(begin, end)) {
+                next = std::max(next, static_cast<int>(std::ceil(begin)));
+                for (; next <= end && next < ray.count; ++next) {
+                  const Vec3i at = nearest(ray, next);
+                  sum += open_accessor.getValue({at.x(), at.y(), at.z()});
+                  ++samples;
+                }
+              }
+            } else if (method == 2) {
+              using NanoRay = nanovdb::Ray<float>;
+              using Leaf = nanovdb::NanoLeaf<float>;
+              const NanoRay line(
+                  nanovdb::Vec3f(static_cast<float>(ray.origin.x() + 0.5), static_cast<float>(ray.origin.y() + 0.5),
+                                 static_cast<float>(ray.origin.z() + 0.5)),
+                  nanovdb::Vec3f(static_cast<float>(ray.step.x()), static_cast<float>(ray.step.y()),
+                                 static_cast<float>(ray.step.z())),
+                  0.0f, static_cast<float>(last));
+              nanovdb::TreeMarcher<Leaf, NanoRay, nanovdb::FloatGrid::AccessorType> marcher(nano_accessor);
+              if (!marcher.init(line)) continue;
+              const Leaf* leaf = nullptr;
+              float begin = 0, end = 0;
+              int next = 0;
+              while (marcher.step(&leaf, begin, end)) {
+                next = std::max(next, static_cast<int>(std::ceil(begin)));
+                for (; static_cast<float>(next) <= end && next < ray.count; ++next) {
+                  const Vec3i at = nearest(ray, next);
+                  sum += leaf->getValue(nanovdb::Coord(at.x(), at.y(), at.z()));
+                  ++samples;
+                }
+              }
+            } else {
+              for (int n = 0; n < ray.count; ++n) {
+                const Vec3i at = nearest(ray, n);
+                const float value = accessor.value(at.x(), at.y(), at.z());
+                sum += value;
+                samples += ours.find_leaf(TwoLevelGrid<float>::leaf_of(at.x(), at.y(), at.z())) >= 0;
+              }
+            }
+          }
+        }));
+        sums[method] = sum;
+        met[method] = static_cast<double>(samples);
+      }
+    for (int method = 0; method < 4; ++method)
+      fmt::print("rays,march,{},{:.1f},{:.3f},{:.2f},{:.2f},{:.0f}\n", methods[method],
+                 static_cast<double>(bytes[method % grids]) / (1 << 20),
+                 static_cast<double>(bytes[method % grids]) / static_cast<double>(leaf_bytes),
+                 1e9 * test::median(seconds[method]) / steps, test::median(seconds[method]) / test::median(seconds[0]),
+                 met[method] - met[0]);
     return 0;
   } catch (const InputError& error) {
     fmt::print(stderr, "grid_benchmark: error: {}\n", error.what());

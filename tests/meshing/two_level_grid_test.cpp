@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/shell/two_level_grid.h"
 
+#include "meshing/core/random.h"
+#include "meshing/shell/leaf_march.h"
+
 #include <gtest/gtest.h>
 
 namespace shellgrid {
@@ -70,6 +73,49 @@ TEST(TwoLevelGrid, AccessorReadsWhatTheGridHolds) {
         const Vec3f place = Vec3f(i, j, k) + Vec3f(0.25f, 0.5f, 0.125f);
         ASSERT_EQ(accessor.interpolate(place), grid.interpolate(place));
       }
+}
+
+TEST(LeafMarch, MeetsEverySampleInLeavesOnceAndNoOther) {
+  TwoLevelGrid<float> grid(Vec3i(-3, -2, -1), Vec3i(7, 5, 6), -1.0f);
+  RandomStream random(11);
+  const auto within = [&](int from, int to) { return from + static_cast<int>(random.next() * (to - from)); };
+  for (int n = 0; n < 40; ++n) grid.allocate_leaf({within(-3, 4), within(-2, 3), within(-1, 5)});
+  for (int leaf = 0; leaf < grid.leaf_count(); ++leaf)
+    for (int n = 0; n < 512; ++n) grid.leaf_values(leaf)[n] = static_cast<float>(leaf * 512 + n);
+  std::size_t total = 0;
+  for (int ray = 0; ray < 3000; ++ray) {
+    Vec3 origin(within(-40, 50), within(-40, 50), within(-40, 60)), step(within(-3, 4), within(-3, 4), within(-3, 4));
+    if (ray % 4 != 0) origin += Vec3(random.next(), random.next(), random.next());
+    if (ray % 4 == 1) origin.x() = std::floor(origin.x()) + 0.5;  // along faces of samples
+    if (ray % 3 != 0) step += Vec3(random.next(), random.next(), random.next());
+    const int count = within(1, 150);
+    if (ray % 5 != 0) step = 2.0 / count * (Vec3(within(-24, 32), within(-16, 24), within(-8, 40)) - origin);
+    if (step.isZero(0)) step.x() = 1;
+    std::vector<std::pair<int, float>> expected, met;
+    for (int n = 0; n < count; ++n) {
+      const Vec3i at = ((origin + n * step).array() + 0.5).floor().cast<int>();
+      if (grid.find_leaf(TwoLevelGrid<float>::leaf_of(at.x(), at.y(), at.z())) >= 0)
+        expected.emplace_back(n, grid.value(at.x(), at.y(), at.z()));
+    }
+    for_each_sample_along(grid, origin, step, count, [&](int n, float value) { met.emplace_back(n, value); });
+    ASSERT_EQ(met, expected) << ray;
+    total += met.size();
+  }
+  EXPECT_GT(total, 10000u);
+}
+
+TEST(LeafMarch, OutsideTheGridMeetsNothing) {
+  TwoLevelGrid<float> grid(Vec3i(0, 0, 0), Vec3i(2, 2, 2), 0.0f);
+  grid.set(3, 3, 3, 1);
+  int met = 0;
+  const auto count = [&](int, float) { ++met; };
+  for_each_sample_along(grid, {-5, 3, 3}, {-1, 0, 0}, 50, count);
+  for_each_sample_along(grid, {-5, 30, 3}, {1, 0, 0}, 50, count);
+  for_each_sample_along(grid, {30, 30, 30}, {1, 1, 1}, 50, count);
+  for_each_sample_along(TwoLevelGrid<float>(), {0, 0, 0}, {1, 1, 1}, 50, count);
+  EXPECT_EQ(met, 0);
+  for_each_sample_along(grid, {-5, 3, 3}, {1, 0, 0}, 50, count);
+  EXPECT_EQ(met, 8);
 }
 
 TEST(TwoLevelGrid, WithoutBoundsIsBackgroundEverywhere) {

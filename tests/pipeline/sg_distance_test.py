@@ -49,6 +49,18 @@ class Distance(unittest.TestCase):
             self.assertIn(message, done.stderr)
             self.assertEqual(os.listdir(self.folder), ["in.off"])
 
+    def test_takes_gaps_and_crossings_by_winding_number(self):
+        vertices, faces = programs.icosphere(3, radius=10)
+        pierced = list(vertices)
+        pierced[0] = tuple(-1.3 * x for x in pierced[0])
+        for mesh in ((vertices, faces[3:]), (pierced, faces)):
+            done = self.distance(mesh, "--voxel", 0.5, "--inside", 1, "--outside", 0.5, "--sign", "winding-number")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            samples = programs.record(self.path("out.vdb"))["results"]["active_samples"]
+            ball = 4 / 3 * math.pi * (10.5 ** 3 - 9 ** 3) / 0.5 ** 3
+            self.assertAlmostEqual(samples / ball, 1, delta=0.1)
+        self.assertEqual(self.distance(mesh, "--sign", "guess").returncode, 2)
+
     def test_refuses_a_grid_that_fits_nowhere(self):
         done = self.distance(programs.icosphere(2, radius=1000), "--voxel", 1e-3)
         self.assertEqual(done.returncode, 3, done.stderr)

@@ -10,6 +10,8 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/random.h"
+#include "meshing/distance/winding_number.h"
+#include "tests/meshing/distance/sides_of_mesh.h"
 #include "tests/support/closed_shapes.h"
 
 namespace shellgrid {
@@ -156,6 +158,86 @@ TEST(DistanceField, OfAMeshWithAFlatTriangleIsExact) {
   expect_equals_brute_force(mesh, wide);
 }
 
+TEST(DistanceField, ByWindingNumberEqualsTheClosedRuleOnCleanMeshes) {
+  DistanceOptions options = wide;
+  options.sign = SignRule::winding_number;
+  expect_equals_brute_force(shapes::rotated(shapes::box({4, 3, 2}), 1), options);
+  expect_equals_brute_force(shapes::rotated(shapes::box({4, 3, 1e-3}), 5), options);
+  expect_equals_brute_force(shapes::rotated(shapes::double_cone(3, 2, 0.02, 0.02), 1), options);
+  expect_equals_brute_force(shapes::double_cone(40, 0.05, 3, 0.5), options);
+  expect_equals_brute_force(shapes::joined(shapes::sphere(2, 2), shapes::turned_around(shapes::sphere(1, 2))), options);
+}
+
+TEST(DistanceField, ByWindingNumberTakesGapsAndCrossings) {
+  DistanceOptions options = wide;
+  options.sign = SignRule::winding_number;
+  // Balls through each other.
+  expect_equals_brute_force(shapes::joined(shapes::sphere(1.2, 2), shapes::moved(shapes::sphere(1, 2), {1, 0.3, 0})),
+                            options);
+  // A ball without some of its triangles, with a triple and a turned one.
+  TriangleMesh ball = shapes::rotated(shapes::sphere(1.5, 2), 7);
+  const Eigen::Index faces = ball.faces.rows();
+  ball.faces.row(3) = ball.faces.row(10);
+  ball.faces.row(17) = ball.faces.row(10);
+  std::swap(ball.faces(40, 0), ball.faces(40, 1));
+  ball.faces.conservativeResize(faces - 2, 3);
+  expect_equals_brute_force(ball, options);
+  DistanceStatistics statistics;
+  EXPECT_THROW(compute_distance_field(ball, wide, statistics), InputError);
+  EXPECT_THROW(compute_distance_field(shapes::turned_around(ball), options, statistics), InputError);
+}
+
+TEST(WindingNumber, ErrorsAreBounded) {
+  const TriangleMesh mesh = shapes::rotated(shapes::torus(1.5, 0.6, 40, 20), 4);
+  TriangleMesh open = mesh;
+  open.faces.conservativeResize(mesh.faces.rows() / 3, 3);
+  const WindingNumber winding(open);
+  RandomStream random(3);
+  double greatest = 0;
+  for (int n = 0; n < 2000; ++n) {
+    const Vec3 p(4 * random.next() - 2, 4 * random.next() - 2, 4 * random.next() - 2);
+    const double exact = winding_number(open, p);
+    for (const double tolerance : {0.1, 1e-2, 1e-3, 1e-5, 0.0}) {
+      const WindingNumber::Estimate found = winding.estimate(p, tolerance);
+      ASSERT_LE(std::abs(found.value - exact), found.error + 1e-12);
+      if (tolerance == 1e-3) greatest = std::max(greatest, found.error);
+    }
+    ASSERT_EQ(winding.inside(p), exact >= 0.5);
+  }
+  EXPECT_LT(greatest, 0.2);
+  EXPECT_GT(greatest, 0.001);
+}
+
+TEST(WindingNumber, AgreesWithSidesOfTheMesh) {
+  // At points near sharp edges, spikes and thin walls.
+  for (const TriangleMesh& mesh :
+       {shapes::rotated(shapes::box({4, 3, 1e-3}), 5), shapes::rotated(shapes::double_cone(3, 2, 0.02, 0.02), 1),
+        shapes::double_cone(40, 0.05, 3, 0.5), shapes::rotated(shapes::double_cone(64, 2, 1, -0.5), 3),
+        shapes::rotated(shapes::torus(1.5, 0.6, 60, 4), 8), shapes::sphere(1, 4)}) {
+    const WindingNumber winding(mesh);
+    RandomStream random(9);
+    std::vector<Vec3> points;
+    for (int n = 0; n < 4000; ++n) {
+      const int f = static_cast<int>(random.next() * mesh.face_count());
+      double u = random.next(), v = random.next();
+      if (u + v > 1) u = 1 - u, v = 1 - v;
+      if (n % 3 == 0) u *= 1e-3;  // beside an edge
+      const Vec3 p =
+          mesh.corner(f, 0) + u * (mesh.corner(f, 1) - mesh.corner(f, 0)) + v * (mesh.corner(f, 2) - mesh.corner(f, 0));
+      const double reach = std::pow(10, -5 * random.next());
+      points.push_back(p + reach * Vec3(random.next() - 0.5, random.next() - 0.5, random.next() - 0.5));
+    }
+    const std::vector<char> sides = test::sides_of_mesh(mesh, points);
+    int inside = 0;
+    for (std::size_t n = 0; n < points.size(); ++n) {
+      if (sides[n] == 0) continue;  // on the surface
+      ASSERT_EQ(winding.inside(points[n]), sides[n] > 0) << n;
+      inside += sides[n] > 0;
+    }
+    EXPECT_GT(inside, 100);
+  }
+}
+
 TEST(DistanceField, IsTheSameOnOneAndTwoThreads) {
   const TriangleMesh mesh = shapes::rotated(shapes::torus(5, 2, 60, 30), 2);
   DistanceField fields[2];
@@ -174,6 +256,26 @@ TEST(DistanceField, IsTheSameOnOneAndTwoThreads) {
         0);
     ASSERT_EQ(
         std::memcmp(fields[0].nearest_point.leaf_values(leaf), fields[1].nearest_point.leaf_values(leaf), 12 * 512), 0);
+  }
+}
+
+TEST(DistanceField, IsTheSameAtEverySize) {
+  const TriangleMesh mesh = shapes::rotated(shapes::torus(1.5, 0.6, 24, 12), 4);
+  DistanceStatistics statistics;
+  const DistanceField one = compute_distance_field(mesh, wide, statistics);
+  for (const int power : {-12, 20}) {  // a thousandth of a millimetre, a kilometre
+    const double size = std::ldexp(1.0, power);
+    TriangleMesh scaled = mesh;
+    scaled.vertices *= size;
+    for (const SignRule sign : {SignRule::closed, SignRule::winding_number}) {
+      const DistanceField field = compute_distance_field(
+          scaled, {wide.voxel * size, wide.inside_band * size, wide.outside_band * size, sign}, statistics);
+      ASSERT_EQ(field.distance.active_count(), one.distance.active_count());
+      one.distance.for_each_active([&](int i, int j, int k, float value) {
+        ASSERT_EQ(field.distance.value(i, j, k), value * static_cast<float>(size));
+        ASSERT_EQ(field.nearest_vertex.value(i, j, k), one.nearest_vertex.value(i, j, k));
+      });
+    }
   }
 }
 

@@ -117,6 +117,20 @@ TEST(Prepare, IsTheSameOnOneAndTwoThreads) {
   EXPECT_EQ(results[0].faces, results[1].faces);
 }
 
+TEST(Prepare, IsTheSameAtEverySize) {
+  for (const TriangleMesh& shape : {finger(), shapes::rotated(shapes::box({2, 1.2, 0.8}), 3)}) {
+    const PreparedSurface one = prepare_surface(shape, {.size = 0, .spacing = 0.1});
+    for (const int power : {-12, 20}) {
+      const double size = std::ldexp(1.0, power);
+      TriangleMesh scaled = shape;
+      scaled.vertices *= size;
+      const PreparedSurface result = prepare_surface(scaled, {.size = 0, .spacing = 0.1 * size});
+      ASSERT_EQ(result.mesh.faces, one.mesh.faces);
+      EXPECT_EQ(result.mesh.vertices, (one.mesh.vertices * size).eval());
+    }
+  }
+}
+
 TEST(Prepare, OfASlabThinnerThanTheSpacingStaysSound) {
   const PreparedSurface result =
       prepare_surface(shapes::rotated(shapes::box({20, 10, 0.15}), 4), {.size = 0, .spacing = 0.5});
