@@ -71,7 +71,9 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
       result.mesh = retile_surface(original, retiling, progress);
       ++result.retiling_attempts;
       accepted = accept(result.mesh, original, retiling.refine_at);
-      if (!accepted && retiling.refine_at.size() == known) break;  // wrong in a way that refining does not mend
+      // Wrong in a way that refining does not mend, or everywhere, as a plate much thinner than the spacing is.
+      const std::size_t crossed = retiling.refine_at.size() - known;
+      if (!accepted && (crossed == 0 || crossed > static_cast<std::size_t>(result.mesh.face_count()) / 50)) break;
       retiling.refine_factor *= 0.5;
     }
     if (accepted && result.retiling_attempts > 1)

@@ -13,6 +13,7 @@ namespace {
 
 constexpr double allowed = 0.22;  // distance between the surfaces beyond which the mesh changes, spacings
 constexpr int passes = 12;
+constexpr int most_crossings = 500;  // beyond which the object is too thin for the spacing, and nothing is changed
 
 // A triangle's smallest height over its longest edge.
 double height_ratio(const Vec3& a, const Vec3& b, const Vec3& c) {
@@ -73,6 +74,7 @@ void Retiling::fit() {
     near.assign(mesh_.n_vertices(), 0);
     for (const Misfit& misfit : misfits)
       for (const VertexHandle v : mesh_.fv_range(FaceHandle(misfit.face))) near[v.idx()] = 1;
+    if (given_up.size() > 4 * most_crossings) break;
     if (change(misfits, changed, given_up)) {
       near.resize(mesh_.n_vertices(), 1);
       for (std::size_t v = 0; v < near.size(); ++v) near[v] |= changed[v];
@@ -106,6 +108,7 @@ bool Retiling::change(std::vector<Misfit> misfits, std::vector<char>& changed, s
       for (int k = 0; k < 3; ++k) faces[f] |= changed[result.faces(f, k)];
     const SelfIntersections crossings = find_self_intersections(result, faces);
     if (crossings.pairs == 0) return true;
+    if (crossings.pairs > most_crossings) break;
     // Again, without the nearest to each crossing.
     std::vector<char> drop(misfits.size(), 0);
     for (const auto& [face, other] : crossings.face_pairs)
@@ -125,6 +128,8 @@ bool Retiling::change(std::vector<Misfit> misfits, std::vector<char>& changed, s
     mesh_ = before;
     refresh();
   }
+  mesh_ = before;
+  refresh();
   return false;
 }
 
