@@ -25,8 +25,10 @@ namespace shellgrid {
 namespace {
 
 constexpr int samples_per_block = BlockParts::samples_per_block;
-constexpr int most_handles = 50;       // looked for on the surface where the polycube lacks some
-constexpr double most_blocks = 1.5e7;  // in the window of the grid, some 200 bytes each
+constexpr double most_blocks_tried_again = 5e5;  // where smaller blocks than asked for are tried
+constexpr double lost_distance = 2.5;            // blocks: parts that far from the polycube are lost
+constexpr int most_handles = 50;                 // looked for on the surface where the polycube lacks some
+constexpr double most_blocks = 1.5e7;            // in the window of the grid, some 200 bytes each
 
 // Empties blocks until none joins parts of the object that are apart, the emptier one of two.
 void part_blocks(BlockGrid& grid, const BlockParts& parts) {
@@ -237,24 +239,26 @@ double spacing_for(double nodes, double volume, const TriangleMesh& surface) {
   return high;
 }
 
-}  // namespace
+// Of the surface's box, in blocks.
+Vec3 window_extent(const TriangleMesh& surface, double block_edge) {
+  return (surface.vertices.colwise().maxCoeff() - surface.vertices.colwise().minCoeff()).transpose() / block_edge;
+}
 
-VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOptions& options, Progress& progress) {
-  const double volume = enclosed_volume(surface);
-  if (!(volume > 0)) throw InputError("the surface encloses no volume; expected a closed surface with outward faces");
+bool spacing_is_too_small(const TriangleMesh& surface, double block_edge, double most) {
+  return !((window_extent(surface, block_edge).array() + 5).prod() < most);
+}
+
+VoxelPolycube build_with_spacing(const TriangleMesh& surface, const PolycubeOptions& options, double spacing,
+                                 int cells_per_block, Progress& progress) {
   VoxelPolycube result;
-  result.spacing = spacing_for(options.nodes, volume, surface);
-  result.cells_per_block = options.grid > 0
-                               ? options.grid
-                               : static_cast<int>(std::exp2(
-                                     std::max(0.0, std::round(std::log2(std::cbrt(options.nodes / options.blocks))))));
+  result.spacing = spacing;
+  result.cells_per_block = cells_per_block;
   result.object_genus = genus(surface);
   const double block_edge = result.spacing * result.cells_per_block;
 
   const Vec3 low = surface.vertices.colwise().minCoeff().transpose();
-  const Vec3 high = surface.vertices.colwise().maxCoeff().transpose();
-  const Vec3 extent = (high - low) / block_edge;
-  if (!((extent.array() + 5).prod() < most_blocks))
+  const Vec3 extent = window_extent(surface, block_edge);
+  if (spacing_is_too_small(surface, block_edge, most_blocks))
     throw InputError(
         fmt::format("the object is too thin for its extent: its grid would be {:.0f}×{:.0f}×{:.0f} blocks; "
                     "expected fewer than {:.0e}; try fewer nodes or larger --grid",
@@ -353,6 +357,38 @@ VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOp
     if (chosen.grid.filled[b]) result.blocks.push_back(chosen.grid.place(b) - least);
   result.origin = chosen.origin + block_edge * least.cast<double>();
   return result;
+}
+
+}  // namespace
+
+VoxelPolycube build_voxel_polycube(const TriangleMesh& surface, const PolycubeOptions& options, Progress& progress) {
+  const double volume = enclosed_volume(surface);
+  if (!(volume > 0)) throw InputError("the surface encloses no volume; expected a closed surface with outward faces");
+  double spacing = spacing_for(options.nodes, volume, surface);
+  int cells_per_block = options.grid > 0 ? options.grid
+                                         : static_cast<int>(std::exp2(std::max(
+                                               0.0, std::round(std::log2(std::cbrt(options.nodes / options.blocks))))));
+  // An object thinner than the samples of its blocks takes smaller ones, first at the same spacing.
+  constexpr int most_tries = 16;
+  VoxelPolycube best;
+  std::string refusal;
+  for (int tries = 0; tries < most_tries; ++tries) {
+    try {
+      VoxelPolycube polycube = build_with_spacing(surface, options, spacing, cells_per_block, progress);
+      if (best.blocks.empty() || polycube.coverage_p99 * polycube.spacing < best.coverage_p99 * best.spacing)
+        best = std::move(polycube);
+      if (best.coverage_p99 <= lost_distance * best.cells_per_block) return best;
+    } catch (const InputError& error) {
+      if (refusal.empty()) refusal = error.what();
+    }
+    if (options.grid == 0 && cells_per_block > 1)
+      cells_per_block /= 2;
+    else
+      spacing /= 1.5;
+    if (spacing_is_too_small(surface, spacing * cells_per_block, most_blocks_tried_again)) break;
+  }
+  if (best.blocks.empty()) throw InputError(refusal);
+  return best;
 }
 
 }  // namespace shellgrid

@@ -410,8 +410,20 @@ TEST(Tetrahedralize, refuses_a_surface_that_crosses_itself) {
   EXPECT_THROW(tetrahedralize(both, {}), InputError);
 }
 
+TEST(VoxelPolycube, takes_smaller_blocks_where_the_object_is_thinner_than_their_samples) {
+  PolycubeOptions options;
+  options.nodes = 2000;
+  options.anneal_sweeps = 20;
+  const VoxelPolycube plate = build_voxel_polycube(voxel_shapes::box(300, 300, 0.3), options);
+  EXPECT_EQ(plate.genus, 0);
+  EXPECT_LE(plate.coverage_max, 2.5 * plate.cells_per_block);
+  const VoxelPolycube rod = build_voxel_polycube(voxel_shapes::box(100, 1, 1), options);
+  EXPECT_EQ(rod.genus, 0);
+  EXPECT_LE(rod.coverage_max, 2.5 * rod.cells_per_block);
+}
+
 TEST(VoxelPolycube, refuses_what_it_cannot_raster) {
-  EXPECT_THROW(build_voxel_polycube(voxel_shapes::box(1000, 1000, 1e-4), {}), InputError);
+  EXPECT_THROW(build_voxel_polycube(voxel_shapes::box(1000, 1000, 1e-4), {}), InputError);  // of 1e7 blocks and more
   TriangleMesh inside_out = voxel_shapes::box(1, 1, 1);
   inside_out.faces.col(1).swap(inside_out.faces.col(2));
   EXPECT_THROW(build_voxel_polycube(inside_out, {}), InputError);
