@@ -9,27 +9,9 @@
 #include <vector>
 
 #include "meshing/core/error.h"
+#include "meshing/core/held_warnings.h"
 
 namespace shellgrid {
-namespace {
-
-// Passes tasks on and keeps warnings back: only those of the polycube that is taken are said.
-class HeldWarnings : public Progress {
- public:
-  explicit HeldWarnings(Progress& progress) : progress_(progress) {}
-  void begin(const std::string& task, long total) override { progress_.begin(task, total); }
-  void advance(long steps) override { progress_.advance(steps); }
-  void end() override { progress_.end(); }
-  void warn(const std::string& message) override { warnings.push_back(message); }
-
-  std::vector<std::string> warnings;
-
- private:
-  Progress& progress_;
-};
-
-}  // namespace
-
 VoxelPolycube build_counted_polycube(const TriangleMesh& surface, PolycubeOptions options, Progress& progress) {
   const double wanted = options.blocks;
   constexpr double close_enough = 0.02;  // of the count

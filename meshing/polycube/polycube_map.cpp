@@ -312,6 +312,8 @@ LatticeGrid map_polycube(const std::vector<Vec3i>& blocks, int cells_per_block, 
   std::reverse(levels.begin(), levels.end());
   progress.begin("polycube map", options.coarse_steps + (static_cast<long>(levels.size()) - 1) * options.fine_steps);
   LatticeGrid grid = refine_blocks(blocks, 1);
+  const bool grid_starts_near = options.start.rows() == grid.points.rows();
+  if (grid_starts_near) grid.points = options.start;
   for (std::size_t level = 0; level < levels.size(); ++level) {
     const int refinement = levels[level];
     if (level > 0) {
@@ -322,7 +324,8 @@ LatticeGrid map_polycube(const std::vector<Vec3i>& blocks, int cells_per_block, 
     const double depth = options.layer_thickness * refinement / cells_per_block;
     Embedding embedding(grid, surface, refinement, depth);
     if (level == 0)
-      embedding.run({options.coarse_steps, options.coarse_iterations, 1, 64}, false, progress);
+      embedding.run({options.coarse_steps, options.coarse_iterations, grid_starts_near ? 16.0 : 1.0, 64}, false,
+                    progress);
     else
       embedding.run({options.fine_steps, options.fine_iterations, 16, 64}, false, progress);
     if (refinement == cells_per_block && !embedding.untangle(20, options.fine_iterations)) {

@@ -47,6 +47,7 @@ struct PolycubeMapOptions {
   int coarse_iterations = 30;
   int fine_steps = 4;
   int fine_iterations = 15;
+  VertexMatrix start;  // of the blocks' corners, in block edges, in the order of refine_blocks; empty: on the lattice
 };
 
 // Maps a polycube into an object: coarse to fine, cells keep their shape and positive Jacobians while

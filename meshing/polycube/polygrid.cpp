@@ -12,6 +12,7 @@
 #include "meshing/polycube/block_grid.h"
 #include "meshing/polycube/boundary_layer.h"
 #include "meshing/polycube/laplacian_weights.h"
+#include "meshing/polycube/transport_start.h"
 
 namespace shellgrid {
 namespace {
@@ -105,10 +106,14 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
 
   PolycubeMapOptions map_options;
   map_options.layer_thickness = options.layer_thickness;
+  // A polycube made by hand may follow the object so roughly that nearest points mislead.
+  const bool is_rough = polycube.coverage_p99 > 0.75 * polycube.cells_per_block;
   const double scale = polycube.cells_per_block;
   LayeredGrid layered =
-      add_boundary_layer(map_polycube(polycube.blocks, polycube.cells_per_block, target, map_options, progress), target,
-                         scale, options.layer_thickness, progress);
+      is_rough
+          ? layer_rough_polycube(polycube.blocks, polycube.cells_per_block, target, map_options, progress)
+          : add_boundary_layer(map_polycube(polycube.blocks, polycube.cells_per_block, target, map_options, progress),
+                               target, scale, options.layer_thickness, progress);
   if (!inverted_cells(layered).empty()) {
     progress.warn(
         "cells stay inverted at the surface; the grid starts again from the polycube's own shape and keeps farther "
