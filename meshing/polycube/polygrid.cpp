@@ -106,8 +106,8 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
 
   PolycubeMapOptions map_options;
   map_options.layer_thickness = options.layer_thickness;
-  // A polycube made by hand may follow the object so roughly that nearest points mislead.
-  const bool is_rough = polycube.coverage_p99 > 0.75 * polycube.cells_per_block;
+  // A polycube made by hand, of cubes that one can count, may follow the object so roughly that nearest points mislead.
+  const bool is_rough = polycube.blocks.size() <= 4000 && polycube.coverage_p99 > 0.75 * polycube.cells_per_block;
   const double scale = polycube.cells_per_block;
   LayeredGrid layered =
       is_rough
