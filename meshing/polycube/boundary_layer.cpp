@@ -21,7 +21,7 @@ constexpr double safely_positive = 1e-10;
 constexpr double least_relative_jacobian = 1e-6;
 constexpr double projected_relative_jacobian = 0.02;
 // Cells below this are improved.
-constexpr double poor_scaled_jacobian = 0.1;
+constexpr double poor_scaled_jacobian = 0.14;
 // Outer points farther from the surface than this, in cells, are drawn back to it.
 constexpr double surface_tolerance = 2e-3;
 // Links farther off the normal are improved: the cosine of 15°.
