@@ -27,7 +27,7 @@ constexpr double surface_tolerance = 2e-3;
 // Links farther off the normal are improved: the cosine of 15°.
 constexpr double poor_link_cosine = 0.966;
 // Cells below this, and links farther off the normal than 45°, get rounds of their own.
-constexpr double worst_scaled_jacobian = 0.05;
+constexpr double worst_scaled_jacobian = 0.11;
 constexpr double worst_link_cosine = 0.7;
 // The inner points' pull to the layer's depth, relative to the outer points' pull to the surface.
 constexpr double inner_pull = 0.02;
