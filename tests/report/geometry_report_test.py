@@ -34,12 +34,12 @@ class GeometryReport(unittest.TestCase):
         vertices, faces = icosphere(2)
         # Open, one triangle twice, one of no area, and a stray vertex.
         write_off(self.at("in", "dirty.off"), (vertices + [(9, 9, 9)], faces[1:] + [faces[5], (7, 7, 8)]))
-        write_off(self.at("in", "flat.off"), ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]))
+        write_off(self.at("in", "hollow.off"), ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], []))
         limits = ["--gibibytes", 6] if SLOWNESS == 1 else ["--gibibytes", 1 << 20]  # A sanitizer's shadow is vast.
         done, rows = self.report("--nodes", 3000, "--seconds", 120 * SLOWNESS, *limits)
         self.assertEqual(done.returncode, 0, done.stdout)
-        self.assertEqual(set(rows), {"ring", "dirty", "flat"})
-        ring, dirty, flat = rows["ring"], rows["dirty"], rows["flat"]
+        self.assertEqual(set(rows), {"ring", "dirty", "hollow"})
+        ring, dirty, hollow = rows["ring"], rows["dirty"], rows["hollow"]
         self.assertEqual((ring["closed"], ring["accepted"], ring["genus"], ring["inverted"]), ("yes", "yes", "1/1", "0"))
         self.assertTrue(ring["verdict"].startswith("valid"), ring)
         self.assertGreater(float(ring["jacobian mean"]), 0.75)
@@ -48,16 +48,16 @@ class GeometryReport(unittest.TestCase):
             self.assertGreater(float(ring[stage + " cpu s"]), 0)
             self.assertGreater(float(ring[stage + " MiB"]), 5)
         self.assertEqual((dirty["closed"], dirty["accepted"], dirty["genus"]), ("no", "yes, close holes", "0/0"))
-        # No repair gives a single triangle an inside that a grid can fill.
-        self.assertEqual((flat["verdict"], flat["inverted"]), ("refused", ""))
-        self.assertRegex(flat["message"], "^sg-[a-z]+: error: .*(flat|thin)")
+        # No repair makes a surface of points.
+        self.assertEqual((hollow["verdict"], hollow["inverted"]), ("refused", ""))
+        self.assertRegex(hollow["message"], "^sg-prepare: error: .*no faces")
         with open(self.at("out", "contact-1.png"), "rb") as file:
             self.assertEqual(file.read(8), b"\x89PNG\r\n\x1a\n")
         with open(self.at("out", "report.md")) as file:
-            self.assertEqual(sum(line.startswith(("| ring |", "| dirty |", "| flat |")) for line in file), 3)
+            self.assertEqual(sum(line.startswith(("| ring |", "| dirty |", "| hollow |")) for line in file), 3)
 
         # What is known is not done again: the programs could not do it.
-        for name in ["dirty", "flat"]:
+        for name in ["dirty", "hollow"]:
             os.remove(self.at("in", name + ".off"))
         grid = self.at("out", "meshes", "ring", "findings.json")
         before = os.stat(grid).st_mtime_ns
