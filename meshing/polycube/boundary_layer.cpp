@@ -29,6 +29,8 @@ constexpr double poor_link_cosine = 0.966;
 // Cells below this, and links farther off the normal than 45°, get rounds of their own.
 constexpr double worst_scaled_jacobian = 0.11;
 constexpr double worst_link_cosine = 0.7;
+// Links farther off the normal than 70° tell of folds, others of creases as well.
+constexpr double folded_link_cosine = 0.34;
 // The inner points' pull to the layer's depth, relative to the outer points' pull to the surface.
 constexpr double inner_pull = 0.02;
 // How far, in cells, a face that looks the same way as the grid is preferred to a nearer one.
@@ -701,7 +703,7 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
     const std::vector<std::int32_t> worst = builder.cells_to_improve(worst_scaled_jacobian, worst_link_cosine);
     if (worst.empty() || 5 * worst.size() > 4 * left) break;
     left = worst.size();
-    builder.restart(worst, 4 + round);
+    builder.restart(builder.cells_to_improve(worst_scaled_jacobian, folded_link_cosine), 4 + round);
     builder.improve(worst, 4, 3, 256 * std::pow(2.0, round), false);
     builder.snap(true);
     builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
