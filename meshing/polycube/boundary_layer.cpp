@@ -29,8 +29,11 @@ constexpr double poor_link_cosine = 0.966;
 // Cells below this, and links farther off the normal than 45°, get rounds of their own.
 constexpr double worst_scaled_jacobian = 0.11;
 constexpr double worst_link_cosine = 0.7;
-// Links farther off the normal than 70° tell of folds, others of creases as well.
+// Cells below this, and links farther off the normal than 70°, tell of folds; other links of creases as well.
+constexpr double folded_scaled_jacobian = 0.05;
 constexpr double folded_link_cosine = 0.34;
+// Larger regions are not laid anew.
+constexpr std::size_t most_restarted_cells = 5000;
 // The inner points' pull to the layer's depth, relative to the outer points' pull to the surface.
 constexpr double inner_pull = 0.02;
 // How far, in cells, a face that looks the same way as the grid is preferred to a nearer one.
@@ -232,7 +235,9 @@ class LayerBuilder {
   // away from. Smoothed between the points around, then drawn to the surface as the whole grid was at first; kept where
   // that is valid and better.
   void restart(const std::vector<std::int32_t>& poor, int rings) {
-    const std::vector<HexahedraRegion> regions = regions_around(cells_, around_, poor, rings);
+    std::vector<HexahedraRegion> regions = regions_around(cells_, around_, poor, rings);
+    // Along creases neighbourhoods run into each other, and no whole of them is better.
+    std::erase_if(regions, [](const HexahedraRegion& region) { return region.cells.size() > most_restarted_cells; });
     std::vector<VertexMatrix> before(regions.size());
     std::vector<double> cost(regions.size());
     constexpr int steps = 12, soft_steps = 6, last_steps = 3;
@@ -469,7 +474,7 @@ class LayerBuilder {
   double cost_of(const HexahedraRegion& region) const {
     double cost = 0;
     for (std::int32_t c : region.cells)
-      cost += std::max(0.0, 1 - scaled_jacobian(grid_.points, cells_[c]) / (2 * poor_scaled_jacobian));
+      cost += std::max(0.0, 1 - scaled_jacobian(grid_.points, cells_[c]) / poor_scaled_jacobian);
     for (std::int32_t p : region.points) {
       if (p < core_points()) continue;
       const std::size_t outer = static_cast<std::size_t>(p - core_points());
@@ -477,7 +482,7 @@ class LayerBuilder {
       const TargetSurface::Nearest nearest = surface_.nearest(place / scale_);
       const Vec3 link = place - grid_.points.row(grid_.twin[outer]).transpose();
       cost += 1 - link.dot(nearest.normal) / std::max(1e-300, link.norm());
-      cost += std::max(0.0, nearest.distance * scale_ / thickness_ - 0.1);
+      cost += 4 * std::max(0.0, nearest.distance * scale_ / thickness_ - 0.1);
     }
     return cost;
   }
@@ -688,7 +693,7 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
   builder.untangle();
   builder.optimize_all(2, 25, 16, 64);
   builder.untangle();
-  constexpr int rounds = 3, last_rounds = 3;
+  constexpr int rounds = 3, last_rounds = 4;
   for (int round = 0; round < rounds && builder.is_valid(); ++round) {
     const std::vector<std::int32_t> poor = builder.cells_to_improve();
     if (poor.empty()) break;
@@ -703,7 +708,8 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
     const std::vector<std::int32_t> worst = builder.cells_to_improve(worst_scaled_jacobian, worst_link_cosine);
     if (worst.empty() || 5 * worst.size() > 4 * left) break;
     left = worst.size();
-    builder.restart(builder.cells_to_improve(worst_scaled_jacobian, folded_link_cosine), 4 + round);
+    for (double link_cosine : {worst_link_cosine, folded_link_cosine})
+      builder.restart(builder.cells_to_improve(folded_scaled_jacobian, link_cosine), 4 + round);
     builder.improve(worst, 4, 3, 256 * std::pow(2.0, round), false);
     builder.snap(true);
     builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
