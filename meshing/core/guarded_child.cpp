@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/core/guarded_child.h"
 
+#include <unistd.h>
+
+#include <cerrno>
 #include <cstdlib>
 #include <exception>
 
@@ -54,3 +57,19 @@ ForeignCode::~ForeignCode() {}
 
 }  // namespace shellgrid
 #endif
+
+namespace shellgrid {
+
+bool write_all(int file, const void* data, std::size_t bytes) {
+  const char* at = static_cast<const char*>(data);
+  while (bytes > 0) {
+    const ssize_t written = ::write(file, at, bytes);
+    if (written < 0 && errno == EINTR) continue;
+    if (written <= 0) return false;
+    at += written;
+    bytes -= static_cast<std::size_t>(written);
+  }
+  return true;
+}
+
+}  // namespace shellgrid

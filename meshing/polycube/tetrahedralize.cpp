@@ -25,18 +25,6 @@
 namespace shellgrid {
 namespace {
 
-bool write_all(int file, const void* data, std::size_t bytes) {
-  const char* at = static_cast<const char*>(data);
-  while (bytes > 0) {
-    const ssize_t written = ::write(file, at, bytes);
-    if (written < 0 && errno == EINTR) continue;
-    if (written <= 0) return false;
-    at += written;
-    bytes -= static_cast<std::size_t>(written);
-  }
-  return true;
-}
-
 // In the child: runs TetGen and sends the mesh through the pipe.
 [[noreturn]] void run_child(const TriangleMesh& surface, int pipe, double limit_seconds) {
   enter_guarded_child();

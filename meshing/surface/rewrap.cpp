@@ -31,18 +31,6 @@ constexpr int limit_seconds = 70;                // of processor time, over all 
 constexpr rlim_t limit_bytes = rlim_t{5} << 30;  // of data
 constexpr double least_share = 1.0 / 2000;       // of the object's length that a resolution may be
 
-bool write_all(int file, const void* data, std::size_t bytes) {
-  const char* at = static_cast<const char*>(data);
-  while (bytes > 0) {
-    const ssize_t written = ::write(file, at, bytes);
-    if (written < 0 && errno == EINTR) continue;
-    if (written <= 0) return false;
-    at += written;
-    bytes -= static_cast<std::size_t>(written);
-  }
-  return true;
-}
-
 // In the child: wraps and sends the surface through the pipe.
 [[noreturn]] void run_child(const TriangleMesh& mesh, double alpha, double offset, double seconds, int pipe) {
   enter_guarded_child();
