@@ -91,7 +91,7 @@ class LayerBuilder {
   // Outer points at `thickness` or less from their twins towards what sees every boundary face there: valid where
   // there is such a direction.
   void set_by_visible_normals() {
-    const std::vector<Vec3> direction = visible_normals();
+    const std::vector<Vec3> direction = visible_normals(grid_.core, grid_.twin);
     std::vector<double> height(grid_.twin.size(), thickness_);
     const auto place = [&](std::size_t outer) {
       outer_row(outer) = grid_.points.row(grid_.twin[outer]) + height[outer] * direction[outer].transpose();
@@ -412,35 +412,6 @@ class LayerBuilder {
     const std::int32_t twin = grid_.twin[outer];
     return surface_.nearest_same_side(grid_.points.row(twin).transpose() / scale_,
                                       normals.row(twin).transpose().stableNormalized(), same_side_reach / scale_);
-  }
-
-  // Per outer point a unit vector whose least product with the normals of the boundary's corners there is large.
-  std::vector<Vec3> visible_normals() const {
-    std::vector<std::vector<Vec3>> corners(grid_.twin.size());
-    for (const auto& quad : grid_.core.boundary_quads)
-      for (int k = 0; k < 4; ++k) {
-        const Vec3 here = grid_.core.points.row(quad.corners[k]).transpose();
-        const Vec3 next = grid_.core.points.row(quad.corners[(k + 1) % 4]).transpose();
-        const Vec3 last = grid_.core.points.row(quad.corners[(k + 3) % 4]).transpose();
-        corners[outer_of_[quad.corners[k]]].push_back((next - here).cross(last - here).stableNormalized());
-      }
-    std::vector<Vec3> result(corners.size());
-    parallel_for(corners.size(), [&](std::size_t outer) {
-      Vec3 direction = Vec3::Zero();
-      for (const Vec3& n : corners[outer]) direction += n;
-      direction.stableNormalize();
-      result[outer] = direction;
-      double best = -2;
-      for (int round = 0; round < 100; ++round) {
-        const Vec3* worst = &corners[outer][0];
-        for (const Vec3& n : corners[outer])
-          if (n.dot(direction) < worst->dot(direction)) worst = &n;
-        if (worst->dot(direction) > best) best = worst->dot(direction), result[outer] = direction;
-        if (best > 0.5) break;
-        direction = (direction + *worst / (2 + round)).stableNormalized();
-      }
-    });
-    return result;
   }
 
   // With ε for the least determinant there is: [Garanzha2021] eq. 9.

@@ -304,6 +304,37 @@ VertexMatrix boundary_normals(const LatticeGrid& grid) {
   return normals;
 }
 
+std::vector<Vec3> visible_normals(const LatticeGrid& grid, const std::vector<std::int32_t>& points) {
+  std::vector<std::int32_t> place(grid.points.rows(), -1);
+  for (std::size_t i = 0; i < points.size(); ++i) place[points[i]] = static_cast<std::int32_t>(i);
+  std::vector<std::vector<Vec3>> corners(points.size());
+  for (const auto& quad : grid.boundary_quads)
+    for (int k = 0; k < 4; ++k) {
+      if (place[quad.corners[k]] < 0) continue;
+      const Vec3 here = grid.points.row(quad.corners[k]).transpose();
+      const Vec3 next = grid.points.row(quad.corners[(k + 1) % 4]).transpose();
+      const Vec3 last = grid.points.row(quad.corners[(k + 3) % 4]).transpose();
+      corners[place[quad.corners[k]]].push_back((next - here).cross(last - here).stableNormalized());
+    }
+  std::vector<Vec3> result(corners.size());
+  parallel_for(corners.size(), [&](std::size_t i) {
+    Vec3 direction = Vec3::Zero();
+    for (const Vec3& n : corners[i]) direction += n;
+    direction.stableNormalize();
+    result[i] = direction;
+    double best = -2;
+    for (int round = 0; round < 100; ++round) {
+      const Vec3* worst = &corners[i][0];
+      for (const Vec3& n : corners[i])
+        if (n.dot(direction) < worst->dot(direction)) worst = &n;
+      if (worst->dot(direction) > best) best = worst->dot(direction), result[i] = direction;
+      if (best > 0.5) break;
+      direction = (direction + *worst / (2 + round)).stableNormalized();
+    }
+  });
+  return result;
+}
+
 LatticeGrid map_polycube(const std::vector<Vec3i>& blocks, int cells_per_block, const TargetSurface& surface,
                          const PolycubeMapOptions& options, Progress& progress) {
   std::vector<int> levels = {cells_per_block};

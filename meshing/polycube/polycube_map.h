@@ -31,6 +31,10 @@ LatticeGrid refine_blocks(const std::vector<Vec3i>& blocks, int refinement);
 // Outward area-weighted normals of the boundary at its points (n×3), zero elsewhere; not normalised.
 VertexMatrix boundary_normals(const LatticeGrid& grid);
 
+// Of each of the given boundary points a unit vector whose least product with the normals of the boundary's corners
+// there is large: where it is positive, all faces there can be seen from that direction.
+std::vector<Vec3> visible_normals(const LatticeGrid& grid, const std::vector<std::int32_t>& points);
+
 // Where samples of an object's surface, moved inwards by `depth`, lie more than a quarter of a cell from a grid's
 // boundary: attractions of the nearest faces of `boundary` to them. `boundary` and `depth` are in cells, of which
 // `scale` make the samples' unit.
