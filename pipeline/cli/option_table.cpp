@@ -48,7 +48,7 @@ std::string placeholder(const OptionSpec& option) {
   const std::string type = option.type();
   if (type == "number") return "NUMBER";
   if (type == "integer") return "INTEGER";
-  if (type == "numbers") return "R,G,B";
+  if (type == "numbers") return option.any_count ? "NUMBER,…" : "R,G,B";
   if (type == "flag") return "";
   return option.choices.empty() ? (option.placeholder.empty() ? "TEXT" : option.placeholder)
                                 : fmt::format("{}", fmt::join(option.choices, "|"));
@@ -174,7 +174,7 @@ void OptionSpec::assign(const std::string& text) {
       }
     } else if (auto* numbers = std::get_if<std::vector<double>*>(&value)) {
       const std::vector<std::string> parts = split(text, ',');
-      const std::size_t wanted = (*numbers)->empty() ? 3 : (*numbers)->size();
+      const std::size_t wanted = any_count ? parts.size() : (*numbers)->empty() ? 3 : (*numbers)->size();
       if (parts.size() != wanted && parts.size() != 1)
         throw UsageError(fmt::format("'{}' is not {} numbers with commas between", one_line(text), wanted));
       std::vector<double> parsed;

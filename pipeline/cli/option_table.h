@@ -30,6 +30,7 @@ struct OptionSpec {
   double least = -1e300, most = 1e300;
   std::vector<std::string> choices = {};
   std::string placeholder = {};  // for texts: FILE, NAME
+  bool any_count = false;        // numbers: as many as one likes
   bool given = false;
 
   std::string long_name() const;           // "--size"

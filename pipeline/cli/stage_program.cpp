@@ -53,6 +53,10 @@ class Run : public StageRun {
   std::uint64_t seed() const override { return seed_value; }
   const std::string& output() const override { return output_path; }
   void exit_with(int code) override { exit_code = code; }
+  std::function<bool()> hold_interrupts() override {
+    hold_termination();
+    return termination_asked;
+  }
 
   const std::vector<std::string>& warnings() const { return progress_.warnings(); }
   void clear_progress() { progress_.clear(); }
@@ -222,6 +226,11 @@ void StageProgram::option(const std::string& flag, std::string& value, const std
 void StageProgram::option(const std::string& flag, std::vector<double>& values, const std::string& unit,
                           const std::string& help, double least, double most) {
   impl_->table.options.push_back({flag, &values, unit, help, least, most});
+}
+void StageProgram::list_option(const std::string& flag, std::vector<double>& values, const std::string& unit,
+                               const std::string& help, double least, double most) {
+  option(flag, values, unit, help, least, most);
+  impl_->table.options.back().any_count = true;
 }
 void StageProgram::flag(const std::string& flag, bool& value, const std::string& help) {
   impl_->table.options.push_back({flag, &value, "", help});

@@ -27,6 +27,9 @@ class StageRun {
   virtual const std::string& output() const = 0;  // -o, or empty
   // Ends the program with this exit code after the record is written; for comparisons that fail.
   virtual void exit_with(int code) = 0;
+  // From now on the first SIGINT or SIGTERM does not end the program: the function returned says that it has come. The
+  // second ends it.
+  virtual std::function<bool()> hold_interrupts() = 0;
 };
 
 // One program `sg-NAME INPUT… -o OUTPUT [options]`. Declare, then run. The record `OUTPUT.json` holds:
@@ -63,6 +66,9 @@ class StageProgram {
   // Numbers `r,g,b`; as many as `values` holds, or three where it is empty and the option has no default.
   void option(const std::string& flag, std::vector<double>& values, const std::string& unit, const std::string& help,
               double least = -1e300, double most = 1e300);
+  // Numbers with commas between, as many as one likes.
+  void list_option(const std::string& flag, std::vector<double>& values, const std::string& unit,
+                   const std::string& help, double least = -1e300, double most = 1e300);
   void flag(const std::string& flag, bool& value, const std::string& help);
   void example(const std::string& command, const std::string& what);
   // Whether an option was on the command line; to be asked inside `body`.

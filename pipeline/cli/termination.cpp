@@ -4,11 +4,20 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <filesystem>
 #include <string>
 #include <thread>
 
 namespace shellgrid {
+namespace {
+
+std::atomic<bool> held{false}, asked{false};
+
+}  // namespace
+
+void hold_termination() { held = true; }
+bool termination_asked() { return asked; }
 
 void remove_half_written_files(const std::vector<std::string>& folders) {
   const std::string mark = ".partial-" + std::to_string(getpid()) + "-";
@@ -28,7 +37,9 @@ void clean_up_on_termination(const std::vector<std::string>& folders) {
   if (pthread_sigmask(SIG_BLOCK, &signals, nullptr) != 0) return;
   std::thread([folders, signals] {
     int number = 0;
-    if (sigwait(&signals, &number) != 0) return;
+    do {
+      if (sigwait(&signals, &number) != 0) return;
+    } while (held && number != SIGHUP && !asked.exchange(true));
     remove_half_written_files(folders);
     signal(number, SIG_DFL);
     pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);

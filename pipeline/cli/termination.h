@@ -9,6 +9,11 @@ namespace shellgrid {
 // process by that signal. To be called before the first thread starts.
 void clean_up_on_termination(const std::vector<std::string>& folders);
 
+// From now on the first SIGTERM or SIGINT is only remembered: `termination_asked` says so. After
+// clean_up_on_termination.
+void hold_termination();
+bool termination_asked();
+
 // Removes this process's half-written files from `folders`.
 void remove_half_written_files(const std::vector<std::string>& folders);
 
