@@ -5,6 +5,9 @@
 // Prints CSV. Places: `random` anywhere in the box; `band` at random in the band; `rays` steps of one interval along
 // rays that cross the box. `bytes_over_leaves` is a grid's memory over that of its samples in leaves; `ratio` is the
 // time over this project's; `differing` counts look-ups whose value is not the same to rounding.
+// `two-level runs` is the two-level grid read by read_samples, many places in one call, which the others do not offer.
+// `walk`: the nearest samples along rays, from their origin and step: read_samples_along beside working out each place
+// for an accessor.
 // `march`: the same rays as a whole, for the nearest samples in leaves: empty leaves are skipped by this project's
 // LeafMarch, OpenVDB's VolumeRayIntersector, NanoVDB's TreeMarcher, or not at all (`look-ups`: the two-level grid's
 // accessor at every step). Nanoseconds a step of the ray; `differing` is the difference in samples met, in samples.
@@ -24,6 +27,7 @@
 #include "meshing/distance/distance_field.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/shell/leaf_march.h"
+#include "meshing/shell/sample_runs.h"
 #include "tests/support/timing.h"
 
 using namespace shellgrid;
@@ -86,8 +90,8 @@ std::vector<Ray> make_rays(const TwoLevelGrid<float>& grid, std::size_t count) {
   return rays;
 }
 
-constexpr int grids = 3;
-const char* const names[grids] = {"two-level", "OpenVDB", "NanoVDB"};
+constexpr int grids = 4;
+const char* const names[grids] = {"two-level", "OpenVDB", "NanoVDB", "two-level runs"};
 
 // What one grid takes for one kind of look-up.
 struct Measurement {
@@ -130,9 +134,24 @@ int main(int argc, char** argv) {
     const nanovdb::FloatGrid& nano = *handle.grid<float>();
     const std::size_t leaf_bytes = static_cast<std::size_t>(ours.leaf_count()) * 512 * sizeof(float);
     const std::size_t bytes[grids] = {ours.bytes(), static_cast<std::size_t>(open->memUsage()),
-                                      static_cast<std::size_t>(handle.size())};
+                                      static_cast<std::size_t>(handle.size()), ours.bytes()};
 
     fmt::print("places,look_up,grid,mebibytes,bytes_over_leaves,nanoseconds,ratio,differing\n");
+    const auto print_rows = [&](const char* places, const char* look_up, int rows, const Measurement* measurements) {
+      const std::vector<float>& expected = measurements[0].values;
+      for (int grid = 0; grid < rows; ++grid) {
+        std::size_t differing = 0;
+        for (std::size_t n = 0; n < expected.size(); ++n)
+          differing += std::abs(measurements[grid].values[n] - expected[n]) > 1e-5 * voxel;
+        const double time = test::median(measurements[grid].seconds);
+        fmt::print("{},{},{},{:.1f},{:.3f},{:.2f},{:.2f},{}\n", places, look_up, names[grid],
+                   static_cast<double>(bytes[grid]) / (1 << 20),
+                   static_cast<double>(bytes[grid]) / static_cast<double>(leaf_bytes),
+                   1e9 * time / static_cast<double>(expected.size()), time / test::median(measurements[0].seconds),
+                   differing);
+      }
+      std::fflush(stdout);
+    };
     const std::vector<Places> all = make_places(ours, count);
     for (const Places& places : all) {
       const openvdb::FloatGrid::ConstAccessor open_accessor = open->getConstAccessor();
@@ -164,6 +183,10 @@ int main(int argc, char** argv) {
                   return nano_accessor.getValue({s.x(), s.y(), s.z()});
                 },
                 measurements[2]);
+            Measurement& runs_of = measurements[3];
+            runs_of.values.resize(count);
+            runs_of.seconds.push_back(
+                test::seconds_of([&] { read_samples(ours, places.nearest.data(), count, runs_of.values.data()); }));
           } else {
             if (along_rays)
               measure(
@@ -182,17 +205,7 @@ int main(int argc, char** argv) {
                 measurements[2]);
           }
         }
-        for (int grid = 0; grid < grids; ++grid) {
-          std::size_t differing = 0;
-          for (std::size_t n = 0; n < count; ++n)
-            differing += std::abs(measurements[grid].values[n] - measurements[0].values[n]) > 1e-5 * voxel;
-          const double time = test::median(measurements[grid].seconds);
-          fmt::print("{},{},{},{:.1f},{:.3f},{:.2f},{:.2f},{}\n", places.name, nearest ? "nearest" : "trilinear",
-                     names[grid], static_cast<double>(bytes[grid]) / (1 << 20),
-                     static_cast<double>(bytes[grid]) / static_cast<double>(leaf_bytes),
-                     1e9 * time / static_cast<double>(count), time / test::median(measurements[0].seconds), differing);
-        }
-        std::fflush(stdout);
+        print_rows(places.name, nearest ? "nearest" : "trilinear", nearest ? grids : grids - 1, measurements);
       }
     }
 
@@ -202,9 +215,39 @@ int main(int argc, char** argv) {
     const auto nearest = [](const Ray& ray, int n) -> Vec3i {
       return (ray.origin + n * ray.step).array().unaryExpr([](double x) { return std::floor(x + 0.5); }).cast<int>();
     };
+    {
+      Measurement measurements[grids];
+      const openvdb::FloatGrid::ConstAccessor open_accessor = open->getConstAccessor();
+      const nanovdb::FloatGrid::AccessorType nano_accessor = nano.getAccessor();
+      TwoLevelGrid<float>::Accessor accessor(ours);
+      const auto walk = [&](Measurement& result, const auto& read) {
+        result.values.resize(static_cast<std::size_t>(steps));
+        result.seconds.push_back(test::seconds_of([&] {
+          float* to = result.values.data();
+          for (const Ray& ray : rays) read(ray, to), to += ray.count;
+        }));
+      };
+      const auto one_by_one = [&](const auto& look) {
+        return [&nearest, look](const Ray& ray, float* to) {
+          for (int n = 0; n < ray.count; ++n) to[n] = look(nearest(ray, n));
+        };
+      };
+      for (int run = 0; run < runs; ++run) {
+        walk(measurements[0], one_by_one([&](const Vec3i& s) { return accessor.value(s.x(), s.y(), s.z()); }));
+        walk(measurements[1], one_by_one([&](const Vec3i& s) {
+               return open_accessor.getValue({s.x(), s.y(), s.z()});
+             }));
+        walk(measurements[2], one_by_one([&](const Vec3i& s) {
+               return nano_accessor.getValue({s.x(), s.y(), s.z()});
+             }));
+        walk(measurements[3],
+             [&](const Ray& ray, float* to) { read_samples_along(ours, ray.origin, ray.step, ray.count, to); });
+      }
+      print_rows("rays", "walk", grids, measurements);
+    }
     const char* const methods[4] = {"two-level", "OpenVDB", "NanoVDB", "look-ups"};
     std::vector<double> seconds[4];
-    double sums[4], met[4];
+    double met[4];
     openvdb::tools::VolumeRayIntersector<openvdb::FloatGrid> intersector(*open);
     for (int run = 0; run < runs; ++run)
       for (int method = 0; method < 4; ++method) {
@@ -269,13 +312,13 @@ int main(int argc, char** argv) {
             }
           }
         }));
-        sums[method] = sum;
+        [[maybe_unused]] volatile double kept = sum;  // or the reads may be left out
         met[method] = static_cast<double>(samples);
       }
     for (int method = 0; method < 4; ++method)
       fmt::print("rays,march,{},{:.1f},{:.3f},{:.2f},{:.2f},{:.0f}\n", methods[method],
-                 static_cast<double>(bytes[method % grids]) / (1 << 20),
-                 static_cast<double>(bytes[method % grids]) / static_cast<double>(leaf_bytes),
+                 static_cast<double>(bytes[method % 3]) / (1 << 20),
+                 static_cast<double>(bytes[method % 3]) / static_cast<double>(leaf_bytes),
                  1e9 * test::median(seconds[method]) / steps, test::median(seconds[method]) / test::median(seconds[0]),
                  met[method] - met[0]);
     return 0;

@@ -3,6 +3,7 @@
 
 #include "meshing/core/random.h"
 #include "meshing/shell/leaf_march.h"
+#include "meshing/shell/sample_runs.h"
 
 #include <gtest/gtest.h>
 
@@ -116,6 +117,75 @@ TEST(LeafMarch, OutsideTheGridMeetsNothing) {
   EXPECT_EQ(met, 0);
   for_each_sample_along(grid, {-5, 3, 3}, {1, 0, 0}, 50, count);
   EXPECT_EQ(met, 8);
+}
+
+TwoLevelGrid<float> scattered_leaves() {
+  TwoLevelGrid<float> grid(Vec3i(-3, -2, -1), Vec3i(7, 5, 6), -1.0f);
+  RandomStream random(12);
+  const auto within = [&](int from, int to) { return from + static_cast<int>(random.next() * (to - from)); };
+  for (int n = 0; n < 60; ++n) grid.allocate_leaf({within(-3, 4), within(-2, 3), within(-1, 5)});
+  for (int leaf = 0; leaf < grid.leaf_count(); ++leaf)
+    for (int n = 0; n < 512; ++n) grid.leaf_values(leaf)[n] = static_cast<float>(leaf * 512 + n);
+  return grid;
+}
+
+TEST(SampleRuns, ReadWhatTheGridHoldsAtEachPlace) {
+  const TwoLevelGrid<float> grid = scattered_leaves();
+  RandomStream random(13);
+  for (const std::size_t count : {0, 1, 63, 64, 65, 1000}) {
+    std::vector<Vec3i> places;
+    for (std::size_t n = 0; n < count; ++n) {
+      const double reach = n % 50 == 7 ? 4e9 : 120;
+      const auto draw = [&] { return static_cast<int>((random.next() - 0.5) * reach); };
+      places.emplace_back(draw(), draw(), draw());
+    }
+    std::vector<float> values(count + 1, -5.0f);
+    read_samples(grid, places.data(), count, values.data());
+    for (std::size_t n = 0; n < count; ++n)
+      ASSERT_EQ(values[n], grid.value(places[n].x(), places[n].y(), places[n].z())) << n;
+    EXPECT_EQ(values[count], -5.0f);
+  }
+}
+
+TEST(SampleRuns, ReadTheNearestSamplesAlongALine) {
+  const TwoLevelGrid<float> grid = scattered_leaves();
+  RandomStream random(14);
+  const auto within = [&](double from, double to) { return from + random.next() * (to - from); };
+  int in_leaves = 0;
+  for (int ray = 0; ray < 15000; ++ray) {
+    Vec3 origin(within(-40, 50), within(-40, 50), within(-40, 60)), step(within(-2, 2), within(-2, 2), within(-2, 2));
+    // Exact in binary: on faces of samples, along axes and standing still too.
+    const bool exact = ray % 3 == 0;
+    if (exact) origin = (2 * origin).array().round() / 2, step = (2 * step).array().round() / 2;
+    if (ray % 50 == 1) origin *= 1e5, step *= 1e3;
+    if (ray % 50 == 2) step *= 0x1p40;
+    const int count = static_cast<int>(within(0, 300));
+    std::vector<float> values(static_cast<std::size_t>(count) + 1, -5.0f);
+    read_samples_along(grid, origin, step, count, values.data());
+    for (int n = 0; n < count; ++n) {
+      const Vec3 p = (origin + n * step).array() + 0.5;
+      const Vec3 s = p.array().floor();
+      if (!exact && ((p - s).array() < 1e-6 || (p - s).array() > 1 - 1e-6).any()) continue;
+      const bool near = s.cwiseAbs().maxCoeff() < 1e6;
+      const float expected = near
+                                 ? grid.value(static_cast<int>(s.x()), static_cast<int>(s.y()), static_cast<int>(s.z()))
+                                 : grid.background();
+      ASSERT_EQ(values[n], expected) << ray << ' ' << n;
+      in_leaves += expected != -1.0f;
+    }
+    EXPECT_EQ(values[count], -5.0f);
+  }
+  EXPECT_GT(in_leaves, 10000);
+}
+
+TEST(SampleRuns, OfAGridWithoutLeavesAreBackground) {
+  const TwoLevelGrid<float> none, empty(Vec3i(0, 0, 0), Vec3i(2, 2, 2), 3.0f);
+  const Vec3i place(1, 2, 3);
+  float value = -5;
+  read_samples(none, &place, 1, &value);
+  EXPECT_EQ(value, 0.0f);
+  read_samples_along(empty, {0, 0, 0}, {1, 0, 0}, 1, &value);
+  EXPECT_EQ(value, 3.0f);
 }
 
 TEST(TwoLevelGrid, WithoutBoundsIsBackgroundEverywhere) {
