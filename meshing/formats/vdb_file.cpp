@@ -34,6 +34,8 @@ constexpr std::size_t id_at = 8 + 4 + 8 + 1;
 constexpr std::size_t id_size = 36;
 // Of the dense top array, in leaves.
 constexpr double most_top_cells = double{1 << 28};
+// Bounds what making leaves of tiles may allocate.
+constexpr openvdb::Index64 most_tile_voxels = openvdb::Index64{1} << 28;
 
 // Grid metadata: "voxel x y z".
 constexpr const char* frame_note = "shellgrid_frame";
@@ -159,44 +161,67 @@ typename VdbGridOf<T>::Type::Ptr to_vdb_grid(const TwoLevelGrid<T>& grid, const 
   return result;
 }
 
+// Tiles become leaves where they are active or hold another value than the background, as inside a level set: every
+// voxel keeps its value and its state.
 template <class T>
-TwoLevelGrid<T> from_vdb_grid(const std::string& path, typename VdbGridOf<T>::Type& grid) {
-  using Leaf = typename VdbGridOf<T>::Type::TreeType::LeafNodeType;
-  const auto& tree_now = grid.tree();
-  if (tree_now.activeTileCount() > 0) {
-    // Bounds what making leaves of active tiles may allocate.
-    if (tree_now.activeVoxelCount() > openvdb::Index64{1} << 28)
-      throw InputError(fmt::format("{}: the grid '{}' has more than 2^28 active voxels", path, grid.getName()));
-    grid.tree().voxelizeActiveTiles(false);
-  }
-  std::vector<const Leaf*> leaves;
-  for (auto it = grid.tree().cbeginLeaf(); it; ++it) leaves.push_back(&*it);
-  std::sort(leaves.begin(), leaves.end(), [](const Leaf* a, const Leaf* b) { return a->origin() < b->origin(); });
+TwoLevelGrid<T> from_vdb_grid(const std::string& path, const typename VdbGridOf<T>::Type& grid) {
+  using Tree = typename VdbGridOf<T>::Type::TreeType;
+  using Leaf = typename Tree::LeafNodeType;
+  constexpr int edge = TwoLevelGrid<T>::leaf_edge;
   const T background = from_vdb(grid.background());
-  if (leaves.empty()) return TwoLevelGrid<T>(Vec3i::Zero(), Vec3i::Zero(), background);
+  struct Piece {
+    openvdb::Coord origin;
+    const Leaf* leaf;  // or none, in a tile
+    T value;
+    bool active;
+  };
+  std::vector<Piece> pieces;
+  for (auto it = grid.tree().cbeginLeaf(); it; ++it) pieces.push_back({it->origin(), &*it, background, false});
+  auto tiles = grid.tree().cbeginValueAll();
+  tiles.setMaxDepth(Tree::ValueAllCIter::LEAF_DEPTH - 1);
+  openvdb::Index64 voxels = 0;
+  for (; tiles; ++tiles) {
+    const T value = from_vdb(tiles.getValue());
+    if (!tiles.isValueOn() && value == background) continue;
+    voxels += tiles.getVoxelCount();
+    if (voxels > most_tile_voxels)
+      throw InputError(fmt::format("{}: the tiles of the grid '{}' hold more than 2^28 voxels", path, grid.getName()));
+    const openvdb::CoordBBox box = tiles.getBoundingBox();
+    for (int x = box.min().x(); x <= box.max().x() - (edge - 1); x += edge)
+      for (int y = box.min().y(); y <= box.max().y() - (edge - 1); y += edge)
+        for (int z = box.min().z(); z <= box.max().z() - (edge - 1); z += edge)
+          pieces.push_back({openvdb::Coord(x, y, z), nullptr, value, tiles.isValueOn()});
+  }
+  std::sort(pieces.begin(), pieces.end(), [](const Piece& a, const Piece& b) { return a.origin < b.origin; });
+  if (pieces.empty()) return TwoLevelGrid<T>(Vec3i::Zero(), Vec3i::Zero(), background);
   Vec3i lower = Vec3i::Constant(std::numeric_limits<int>::max()),
         upper = Vec3i::Constant(std::numeric_limits<int>::min());
-  const auto leaf_coordinate = [](const Leaf& leaf) {
-    const openvdb::Coord origin = leaf.origin();
-    return Vec3i(origin.x() >> 3, origin.y() >> 3, origin.z() >> 3);
+  const auto leaf_coordinate = [](const Piece& piece) {
+    return Vec3i(piece.origin.x() >> 3, piece.origin.y() >> 3, piece.origin.z() >> 3);
   };
-  for (const Leaf* leaf : leaves) {
-    lower = lower.cwiseMin(leaf_coordinate(*leaf));
-    upper = upper.cwiseMax(leaf_coordinate(*leaf));
+  for (const Piece& piece : pieces) {
+    lower = lower.cwiseMin(leaf_coordinate(piece));
+    upper = upper.cwiseMax(leaf_coordinate(piece));
   }
   const Vec3 counts = (upper.cast<double>() - lower.cast<double>()).array() + 1;
   if (counts.prod() > most_top_cells)
     throw InputError(fmt::format("{}: the grid '{}' spans {:.0f}×{:.0f}×{:.0f} leaves, too many for a dense top array",
                                  path, grid.getName(), counts.x(), counts.y(), counts.z()));
   TwoLevelGrid<T> result(lower, upper - lower + Vec3i::Ones(), background);
-  for (const Leaf* leaf : leaves) {
-    const int leaf_index = result.allocate_leaf(leaf_coordinate(*leaf));
-    const auto* from = leaf->buffer().data();
+  for (const Piece& piece : pieces) {
+    const int leaf_index = result.allocate_leaf(leaf_coordinate(piece));
     T* to = result.leaf_values(leaf_index);
+    typename TwoLevelGrid<T>::Mask& mask = result.leaf_mask(leaf_index);
+    if (!piece.leaf) {
+      std::fill_n(to, TwoLevelGrid<T>::leaf_size, piece.value);
+      mask.fill(piece.active ? ~std::uint64_t{0} : 0);
+      continue;
+    }
+    const auto* from = piece.leaf->buffer().data();
     for (int n = 0; n < TwoLevelGrid<T>::leaf_size; ++n) to[n] = from_vdb(from[n]);
     for (int word = 0; word < 8; ++word)
-      result.leaf_mask(leaf_index)[static_cast<std::size_t>(word)] =
-          leaf->getValueMask().template getWord<openvdb::Index64>(static_cast<openvdb::Index>(word));
+      mask[static_cast<std::size_t>(word)] =
+          piece.leaf->getValueMask().template getWord<openvdb::Index64>(static_cast<openvdb::Index>(word));
   }
   return result;
 }
