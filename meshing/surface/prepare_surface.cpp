@@ -26,12 +26,14 @@ double rewrap_resolution(const TriangleMesh& input, const PrepareOptions& option
   return options.size > 0 ? options.rewrap * length / options.size : options.rewrap;
 }
 
-// Whether a retiled mesh may take the place of its original; else adds where it crosses itself.
-bool accept(const TriangleMesh& retiled, const TriangleMesh& original, std::vector<Vec3>& crossings) {
+// Whether a retiled mesh may take the place of its original; else adds where it crosses itself. `placed` is the
+// retiled mesh as it will be written: moving it rounds its coordinates.
+bool accept(const TriangleMesh& retiled, const TriangleMesh& placed, const TriangleMesh& original,
+            std::vector<Vec3>& crossings) {
   const SurfaceDefects defects = find_defects(retiled);
   if (defects.boundary_edges + defects.non_manifold_edges + defects.non_manifold_vertices > 0) return false;
   if (defects.components != 1 || genus(retiled) != genus(original)) return false;
-  const SelfIntersections found = find_self_intersections(retiled);
+  const SelfIntersections found = find_self_intersections(placed, {}, folded_flat);
   for (const auto& [face, other] : found.face_pairs)
     for (const int f : {face, other})
       crossings.emplace_back((retiled.corner(f, 0) + retiled.corner(f, 1) + retiled.corner(f, 2)) / 3);
@@ -68,9 +70,12 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
     bool accepted = false;
     for (int attempt = 0; attempt < 4 && !accepted; ++attempt) {
       const std::size_t known = retiling.refine_at.size();
-      result.mesh = retile_surface(original, retiling, progress);
+      const TriangleMesh retiled = retile_surface(original, retiling, progress);
       ++result.retiling_attempts;
-      accepted = accept(result.mesh, original, retiling.refine_at);
+      // Vertices on the surface reach its extremes only nearly.
+      result.mesh = retiled;
+      place(result.mesh, options.size);
+      accepted = accept(retiled, result.mesh, original, retiling.refine_at);
       // Wrong in a way that refining does not mend, or everywhere, as a plate much thinner than the spacing is.
       const std::size_t crossed = retiling.refine_at.size() - known;
       if (!accepted && (crossed == 0 || crossed > static_cast<std::size_t>(result.mesh.face_count()) / 50)) break;
@@ -82,6 +87,7 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
     if (!accepted) {
       progress.warn("retiling made the surface cross itself; kept its triangles and subdivided the long ones");
       result.mesh = subdivide_long_edges(original, 4.0 / 3 * options.spacing);
+      place(result.mesh, options.size);
       result.kept_triangles = true;
       if (const SelfIntersections found = find_self_intersections(result.mesh); found.pairs > 0)
         throw InputError(
@@ -89,8 +95,6 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
                         "try a smaller spacing or --no-retile",
                         found.pairs, found.at.x(), found.at.y(), found.at.z()));
     }
-    // Vertices on the surface reach its extremes only nearly.
-    place(result.mesh, options.size);
   }
   require_closed_surface(result.mesh);
   result.edges = measure_edges(result.mesh);

@@ -45,7 +45,13 @@ SurfaceDefects find_defects(const TriangleMesh& mesh);
 
 // Pairs of triangles that intersect other than in their shared corners and edges, by exact predicates. Where faces are
 // marked (m), only pairs with a marked one. A triangle without area counts as a pair with itself, and in no other.
-SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::vector<char>& marked = {});
+// Neighbours folded onto each other count where the angle between them, in radians, is less than least_angle.
+SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::vector<char>& marked = {},
+                                          double least_angle = 0);
+
+// The angle between neighbours below which the rounding of coordinates, or a tetrahedral mesher, takes them for
+// crossing.
+constexpr double folded_flat = 1e-5;
 
 // Throws InputError unless the mesh is closed, manifold, consistently oriented and looking outward; one component
 // unless `several_components`. Self-intersection is not looked at.

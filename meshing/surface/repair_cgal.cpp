@@ -20,7 +20,7 @@ using Point = Kernel::Point_3;
 Point to_point(const Vec3& p) { return {p.x(), p.y(), p.z()}; }
 
 // Whether two triangles meet in more than the corners they share.
-bool intersect(const TriangleMesh& mesh, int face, int other) {
+bool intersect(const TriangleMesh& mesh, int face, int other, double least_angle) {
   std::array<int, 3> a, b;
   for (int k = 0; k < 3; ++k) a[k] = mesh.faces(face, k), b[k] = mesh.faces(other, k);
   int shared = 0;
@@ -37,6 +37,10 @@ bool intersect(const TriangleMesh& mesh, int face, int other) {
   if (shared == 3) return true;
   if (shared == 2) {
     // Neighbours meet beyond their edge only when one is folded flat onto the other.
+    const Vec3 edge = mesh.vertex(a[1]) - mesh.vertex(a[0]);
+    const Vec3 n = edge.cross(mesh.vertex(a[2]) - mesh.vertex(a[0])),
+               m = edge.cross(mesh.vertex(b[2]) - mesh.vertex(b[0]));
+    if (n.dot(m) > 0 && n.cross(m).norm() < least_angle * n.norm() * m.norm()) return true;
     if (CGAL::orientation(p(a[0]), p(a[1]), p(a[2]), p(b[2])) != CGAL::COPLANAR) return false;
     return CGAL::coplanar_orientation(p(a[0]), p(a[1]), p(a[2]), p(b[2])) == CGAL::POSITIVE;
   }
@@ -49,7 +53,8 @@ bool intersect(const TriangleMesh& mesh, int face, int other) {
 
 }  // namespace
 
-SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::vector<char>& marked) {
+SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::vector<char>& marked,
+                                          double least_angle) {
   std::vector<Box> boxes(mesh.face_count());
   for (int f = 0; f < mesh.face_count(); ++f)
     for (int k = 0; k < 3; ++k) boxes[f].add(mesh.corner(f, k));
@@ -74,7 +79,7 @@ SelfIntersections find_self_intersections(const TriangleMesh& mesh, const std::v
           // A pair is found from its lower face, or from its only marked one.
           if (other < 0 || other == static_cast<int>(f) || is_flat[other] || !boxes[f].overlaps(boxes[other])) continue;
           if (other < static_cast<int>(f) && (marked.empty() || marked[other])) continue;
-          if (intersect(mesh, std::min(static_cast<int>(f), other), std::max(static_cast<int>(f), other)))
+          if (intersect(mesh, std::min(static_cast<int>(f), other), std::max(static_cast<int>(f), other), least_angle))
             found[begin / chunk].push_back(std::minmax(static_cast<int>(f), other));
         }
       });

@@ -106,7 +106,7 @@ bool Retiling::change(std::vector<Misfit> misfits, std::vector<char>& changed, s
     std::vector<char> faces(static_cast<std::size_t>(result.face_count()), 0);
     for (int f = 0; f < result.face_count(); ++f)
       for (int k = 0; k < 3; ++k) faces[f] |= changed[result.faces(f, k)];
-    const SelfIntersections crossings = find_self_intersections(result, faces);
+    const SelfIntersections crossings = find_self_intersections(result, faces, folded_flat);
     if (crossings.pairs == 0) return true;
     if (crossings.pairs > most_crossings) break;
     // Again, without the nearest to each crossing.

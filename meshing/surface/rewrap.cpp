@@ -27,9 +27,11 @@
 namespace shellgrid {
 namespace {
 
-constexpr int limit_seconds = 70;                // of processor time, over all attempts
+constexpr int limit_seconds = 50;                // of processor time, over all attempts
 constexpr rlim_t limit_bytes = rlim_t{5} << 30;  // of data
 constexpr double least_share = 1.0 / 2000;       // of the object's length that a resolution may be
+constexpr double offset_share =
+    0.1;  // of the resolution; half as much doubles the time, and halves the thickness of sheets
 
 // In the child: wraps and sends the surface through the pipe.
 [[noreturn]] void run_child(const TriangleMesh& mesh, double alpha, double offset, double seconds, int pipe) {
@@ -195,7 +197,7 @@ TriangleMesh rewrap_surface(const TriangleMesh& mesh, double resolution, RewrapR
   for (int attempt = 0;; ++attempt) {
     // A wrap is free of crossings but for the rounding of its points; another radius rounds otherwise.
     const double alpha = resolution / length * (1 + 0.03 * attempt);
-    TriangleMesh wrap = largest_component(wrap_guarded(soup, alpha, alpha / 20, seconds), report);
+    TriangleMesh wrap = largest_component(wrap_guarded(soup, alpha, offset_share * alpha, seconds), report);
     RepairReport repair;
     try {
       wrap = repair_surface(wrap, false, repair);

@@ -14,8 +14,8 @@ struct RewrapReport {
 };
 
 // Wraps any heap of triangles, however open, crossing, doubled or disconnected, in one closed, manifold surface that
-// does not cross itself: the outer boundary of what a ball of radius `resolution` cannot reach, a twentieth of it off
-// the triangles. Holes and gaps narrower than about twice the resolution are closed; cavities without an opening
+// does not cross itself: the outer boundary of what a ball of radius `resolution` cannot reach, a tenth of it off the
+// triangles. Holes and gaps narrower than about twice the resolution are closed; cavities without an opening
 // are filled. Runs in a guarded child with limits of time and memory. Source: [Portaneri2022].
 // resolution: in the mesh's units, > 0.
 // Throws: InputError for a mesh without triangles, or where wrapping fails or takes too long or too much.

@@ -88,6 +88,7 @@ int main(int argc, char** argv) {
         {"rewrap_to_input_mm", surface.rewrap.to_input},
         {"rewrap_from_input_mm", surface.rewrap.from_input},
         {"rewrap_dropped_components", surface.rewrap.dropped_components},
+        {"rewrap_dropped_volume", surface.rewrap.dropped_volume},
         {"merged_vertices", surface.repair.merged_vertices},
         {"dropped_faces", surface.repair.dropped_faces},
         {"flattened_faces", surface.repair.flattened_faces},

@@ -133,6 +133,7 @@ class Prepare(unittest.TestCase):
         results = programs.record(self.path("out.ply"))["results"]
         self.assertAlmostEqual(results["rewrap_resolution_mm"], 0.8, delta=0.02)
         self.assertLess(results["rewrap_to_input_mm"], 0.8)
+        self.assertEqual((results["rewrap_dropped_components"], results["rewrap_dropped_volume"]), (0, 0))
         with open(self.path("out.ply"), "rb") as file:
             first = file.read()
         self.prepare(crossing, "--size", 20, "--spacing", 0.8, "--rewrap", "4%", "--threads", 1)

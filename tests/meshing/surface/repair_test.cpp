@@ -219,6 +219,17 @@ TEST(Repair, RefusesSelfIntersectionsAndSaysWhere) {
   EXPECT_NE(message.find("of triangles intersect, first at ("), std::string::npos) << message;
 }
 
+TEST(SelfIntersections, OfNeighboursFoldedOntoEachOtherDependOnTheAngle) {
+  for (const double angle : {1e-3, 1e-7}) {
+    // Over the same edge, one face the given angle above the other.
+    const TriangleMesh fold =
+        from_lists({{0, 0, 0}, {1, 0, 0}, {0.5, 1, 0}, {0.4, 0.8 * std::cos(angle), 0.8 * std::sin(angle)}},
+                   {{0, 1, 2}, {1, 0, 3}});
+    EXPECT_EQ(find_self_intersections(fold).pairs, 0);
+    EXPECT_EQ(find_self_intersections(fold, {}, folded_flat).pairs, angle < folded_flat ? 1 : 0);
+  }
+}
+
 TEST(SelfIntersections, AreNoneAmongNeighboursAndFoundAmongStrangers) {
   EXPECT_EQ(find_self_intersections(shapes::rotated(shapes::sphere(3, 3), 1)).pairs, 0);
   EXPECT_EQ(find_self_intersections(shapes::box({1, 2, 3})).pairs, 0);
