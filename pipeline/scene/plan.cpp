@@ -111,9 +111,8 @@ void check_whole(const Scene& scene, double size, std::optional<PlacedMesh>& mes
                     "outside",
                     text(scene.camera->position)));
   for (std::size_t i = 0; i < scene.lights.size(); ++i)
-    if (const auto* point = std::get_if<PointLight>(&scene.lights[i]); point && inside(point->position))
-      fail(fmt::format("lights[{}].position: {} is inside the object; expected a place outside", i,
-                       text(point->position)));
+    if (const std::optional<Vec3> place = light_position(scene.lights[i]); place && inside(*place))
+      fail(fmt::format("lights[{}].position: {} is inside the object; expected a place outside", i, text(*place)));
 }
 
 struct SceneCase {

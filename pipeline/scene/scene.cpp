@@ -192,6 +192,11 @@ Light parse_light(const Section& section) {
     section.allow({"type", "position", "intensity"}, "a point light");
     return PointLight{section.vector("position"), section.colour("intensity")};
   }
+  if (type == "area") {
+    section.allow({"type", "position", "direction", "up", "width", "height", "radiance"}, "an area light");
+    return AreaLight{section.vector("position"), section.direction("direction"), section.direction("up"),
+                     section.number("width"),    section.number("height"),       section.colour("radiance")};
+  }
   return parse_environment(section);
 }
 

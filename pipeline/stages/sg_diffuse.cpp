@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <fmt/format.h>
 
-#include <algorithm>
-#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
@@ -10,39 +8,13 @@
 #include "meshing/formats/vdb_file.h"
 #include "meshing/formats/vtkhdf_file.h"
 #include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
 #include "solvers/diffusion/polygrid_diffusion.h"
 
 using namespace shellgrid;
 
 namespace {
-
-float luminance(const Rgb& c) { return 0.2126f * c[0] + 0.7152f * c[1] + 0.0722f * c[2]; }
-
-// The surface with exitance and irradiance; `quality` is the luminance of the exitance, the colours show it with its
-// 98th percentile at white.
-AttributedMesh exitance_mesh(const TriangleMesh& surface, const DiffusionResult& result) {
-  AttributedMesh mesh{surface, {}};
-  auto add = [&](const std::string& name, const auto& value) {
-    VertexProperty property{name, std::vector<float>(result.exitance.size())};
-    for (std::size_t v = 0; v < property.values.size(); ++v) property.values[v] = value(v);
-    mesh.properties.push_back(std::move(property));
-  };
-  for (int c = 0; c < 3; ++c)
-    add(std::string("exitance_") + "rgb"[c], [&](std::size_t v) { return result.exitance[v][c]; });
-  for (int c = 0; c < 3; ++c)
-    add(std::string("irradiance_") + "rgb"[c], [&](std::size_t v) { return result.irradiance[v][c]; });
-  add("quality", [&](std::size_t v) { return luminance(result.exitance[v]); });
-  std::vector<float> sorted = mesh.properties.back().values;
-  const auto rank = sorted.begin() + static_cast<std::ptrdiff_t>(0.98 * (sorted.size() - 1));
-  std::nth_element(sorted.begin(), rank, sorted.end());
-  const float white = std::max(*rank, 1e-30f);
-  const char* names[3] = {"red", "green", "blue"};
-  for (int c = 0; c < 3; ++c)
-    add(names[c],
-        [&](std::size_t v) { return 255 * std::pow(std::clamp(result.exitance[v][c] / white, 0.0f, 1.0f), 1 / 2.2f); });
-  return mesh;
-}
 
 UnstructuredGrid fluence_grid(const Polygrid& polygrid, const std::vector<Rgb>& fluence) {
   UnstructuredGrid grid;
@@ -159,7 +131,7 @@ int main(int argc, char** argv) {
         solve_polygrid_diffusion(polygrid, surface, material, ior, scene.lights, options, run.progress());
 
     run.start_timer("write");
-    write_ply(exitance_path, exitance_mesh(surface, result));
+    write_ply(exitance_path, exitance_mesh(surface, result.exitance, result.irradiance));
     run.note_output(exitance_path);
     write_vtkhdf(run.output(), fluence_grid(polygrid, result.fluence));
     record(result, run.results());

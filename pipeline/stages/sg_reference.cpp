@@ -1,12 +1,22 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <fmt/format.h>
 
+#include <bit>
+#include <cmath>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include <filesystem>
 #include "meshing/core/error.h"
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/number_archive.h"
 #include "meshing/formats/output_file.h"
+#include "meshing/formats/vdb_file.h"
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/exitance_mesh.h"
+#include "pipeline/scene/scene.h"
+#include "solvers/transport/light_tracing.h"
 #include "solvers/transport/tally_shapes.h"
 
 using namespace shellgrid;
@@ -92,27 +102,166 @@ json tally_json(const TallyResult& r) {
   return result;
 }
 
-void record(const PathState& state, PathEnd end, nlohmann::json& results) {
-  results["paths"] = state.paths;
-  results["ended_by"] = path_end_name(end);
-  for (int k = 0; k < path_event_count; ++k) results["events"][path_event_names()[k]] = state.events[k];
-}
+// What paths are followed and when it ends; and the state in a file, to go on from.
+struct Campaign {
+  PathLimits limits;
+  std::string state_path;
 
-void tally(const TallyOptions& options, const PathLimits& limits, StageRun& run) {
-  const TallyTransport transport(options.problem(run.seed()));
-  const PathKind kind = transport.kind();
-  PathState state(kind.scalars, kind.field_size);
+  PathState follow(const PathKind& kind, const std::string& fingerprint, StageRun& run) const {
+    PathState state(kind.scalars, kind.field_size);
+    if (!state_path.empty() && std::filesystem::exists(state_path)) state = restored(fingerprint, state);
+    const std::uint64_t first = state.paths;
+    const auto save = [&](const PathState& now) {
+      NumberArchive archive{"light paths", fingerprint, {}, {}};
+      archive.numbers = {
+          {"sum", now.sum}, {"square", now.square}, {"field_sum", now.field_sum}, {"field_square", now.field_square}};
+      archive.counts = {{"paths", {now.paths}}, {"events", {now.events.begin(), now.events.end()}}};
+      write_number_archive(state_path, archive);
+    };
+    PathLimits held = limits;
+    held.interrupted = run.hold_interrupts();
+    const auto checkpoint = state_path.empty() ? std::function<void(const PathState&)>() : save;
+    const PathEnd end = follow_paths(kind, held, state, checkpoint, run.progress());
+    if (!state_path.empty()) {
+      save(state);
+      run.note_output(state_path);
+    }
+    if (end == PathEnd::interrupted)
+      run.progress().warn(fmt::format("interrupted after {} paths; the result is that of these", state.paths));
+    if (state.paths == 0) throw InputError("stopped before the first paths had ended; there is no result");
+    nlohmann::json& results = run.results();
+    results["paths"] = state.paths;
+    results["paths_of_earlier_runs"] = first;
+    results["ended_by"] = path_end_name(end);
+    for (int k = 0; k < path_event_count; ++k) results["events"][path_event_names()[k]] = state.events[k];
+    return state;
+  }
+
+ private:
+  PathState restored(const std::string& fingerprint, const PathState& fresh) const {
+    const NumberArchive archive = read_number_archive(state_path);
+    if (archive.kind != "light paths" || archive.fingerprint != fingerprint)
+      throw InputError(state_path + ": is the state of a run with other inputs or options; remove it, or name another");
+    const auto numbers = [&](const char* name, std::size_t size) {
+      const auto found = archive.numbers.find(name);
+      if (found == archive.numbers.end() || found->second.size() != size)
+        throw InputError(state_path + ": is damaged: its lists do not fit");
+      return found->second;
+    };
+    PathState state = fresh;
+    state.sum = numbers("sum", fresh.sum.size());
+    state.square = numbers("square", fresh.square.size());
+    state.field_sum = numbers("field_sum", fresh.field_sum.size());
+    state.field_square = numbers("field_square", fresh.field_square.size());
+    const auto paths = archive.counts.find("paths"), events = archive.counts.find("events");
+    if (paths == archive.counts.end() || paths->second.size() != 1 || events == archive.counts.end() ||
+        events->second.size() != state.events.size())
+      throw InputError(state_path + ": is damaged: its lists do not fit");
+    state.paths = paths->second[0];
+    std::copy(events->second.begin(), events->second.end(), state.events.begin());
+    return state;
+  }
+};
+
+void tally(const TallyOptions& options, const Campaign& campaign, StageRun& run) {
+  const TallyProblem problem = options.problem(run.seed());
+  const TallyTransport transport(problem);
   run.start_timer("follow");
-  const PathEnd end = follow_paths(kind, limits, state, {}, run.progress());
+  std::string fingerprint =
+      fmt::format("tally {} {} {} {} {} {} {} {}", options.shape, static_cast<int>(problem.source), problem.thickness,
+                  problem.ior, problem.bins, problem.extent, problem.seed, SHELLGRID_VERSION);
+  for (const TallyLayer& l : problem.layers)
+    fingerprint += fmt::format(" {} {} {} {}", l.absorption, l.scattering, l.anisotropy, l.radius);
+  const PathState state = campaign.follow(transport.kind(), fingerprint, run);
   run.start_timer("write");
   const TallyResult result = transport.result(state);
   json content = {{"tally", options.shape}, {"paths", state.paths}};
   content.update(tally_json(result));
   write_text_atomically(run.output(), content.dump(1) + "\n");
-  record(state, end, run.results());
   run.print(fmt::format("{}: diffuse reflectance {:.5f} ± {:.5f}, transmittance {:.5f} ± {:.5f}, {} paths",
                         run.output(), result.diffuse_reflectance.value, result.diffuse_reflectance.standard_error,
                         result.transmittance.value, result.transmittance.standard_error, state.paths));
+}
+
+// Of each power its three channels, and their standard errors beside them.
+nlohmann::json energy_json(const LightTracingResult& r) {
+  nlohmann::json energy, errors;
+  const auto put = [&](const char* name, const PowerEstimate& power) {
+    for (const Estimate& e : power.channel) {
+      energy[name].push_back(e.value);
+      errors[name].push_back(e.standard_error);
+    }
+  };
+  put("incoming", r.incoming);
+  put("entering", r.entering);
+  put("mirrored", r.mirrored);
+  put("leaving", r.leaving);
+  put("absorbed_core", r.absorbed_core);
+  put("absorbed_shell", r.absorbed_shell);
+  put("lost", r.lost);
+  put("roulette", r.roulette);
+  put("exchange", r.exchange);
+  for (int c = 0; c < 3; ++c) {
+    const double in = r.entering.channel[c].value;
+    const double defect = in + r.roulette.channel[c].value + r.exchange.channel[c].value - r.leaving.channel[c].value -
+                          r.absorbed_core.channel[c].value - r.absorbed_shell.channel[c].value -
+                          r.lost.channel[c].value;
+    energy["relative_defect"].push_back(in > 0 ? std::abs(defect) / in : 0);
+  }
+  energy["standard_error"] = errors;
+  return energy;
+}
+
+struct SceneInputs {
+  std::string scene, surface, shell;
+
+  // Of all that the paths depend on.
+  std::string fingerprint(const Scene& read, const std::string& mode, std::uint64_t seed) const {
+    std::string text = mode + " " + hash_file(scene) + " " + hash_file(surface) + " " +
+                       (shell.empty() ? "-" : hash_file(shell)) + fmt::format(" {} {}", seed, SHELLGRID_VERSION);
+    for (const Light& light : read.lights)
+      if (const auto* environment = std::get_if<EnvironmentLight>(&light); environment && environment->image) {
+        std::uint64_t hash = 0;
+        for (const Image::Channel& channel : environment->image->channels)
+          for (const float value : channel.values) hash = hash64(hash, std::bit_cast<std::uint32_t>(value));
+        text += fmt::format(" {:x}", hash);
+      }
+    return text;
+  }
+};
+
+TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const TriangleMesh& mesh) {
+  if (scene.material && scene.material->opaque)
+    throw InputError(scene.path + ": material.opaque: no light passes into this object");
+  if (!scene.material || !std::holds_alternative<Material>(scene.material->core))
+    throw InputError(scene.path + ": no homogeneous core; give shell.vdb, or material.core with coefficients");
+  return TransportObject(mesh, std::get<Material>(scene.material->core),
+                         scene.object ? scene.object->ior : SceneObject{}.ior);
+}
+
+void trace_light(const SceneInputs& inputs, bool interreflection, const Campaign& campaign, StageRun& run) {
+  run.start_timer("read");
+  const Scene scene = read_scene(inputs.scene);
+  const TriangleMesh mesh = read_mesh(inputs.surface).mesh;
+  const TransportObject object = read_object(inputs, scene, mesh);
+  LightTracingOptions options;
+  options.seed = run.seed();
+  options.interreflection = interreflection;
+  const LightTracing tracing(object, scene.lights, options);
+  run.start_timer("follow");
+  const PathState state = campaign.follow(
+      tracing.kind(), inputs.fingerprint(scene, interreflection ? "light" : "light once", run.seed()), run);
+  run.start_timer("write");
+  const LightTracingResult result = tracing.result(state);
+  AttributedMesh written = exitance_mesh(mesh, result.exitance, result.irradiance);
+  add_colour_property(written, "exitance_error", result.exitance_error);
+  add_colour_property(written, "irradiance_error", result.irradiance_error);
+  write_ply(run.output(), written);
+  run.results()["energy"] = energy_json(result);
+  run.results()["relative_standard_error"] = result.relative_error;
+  run.print(fmt::format("{}: {} paths, exitance ± {:.2g} %, entering {:.6g} W, leaving {:.6g} W", run.output(),
+                        state.paths, 100 * result.relative_error, result.entering.channel[1].value,
+                        result.leaving.channel[1].value));
 }
 
 }  // namespace
@@ -120,21 +269,40 @@ void tally(const TallyOptions& options, const PathLimits& limits, StageRun& run)
 int main(int argc, char** argv) {
   StageProgram program("sg-reference", "follows light paths: the exact answer that the solvers are judged by");
   TallyOptions tally_options;
-  PathLimits limits;
-  limits.paths = 0;
-  program.output("slab.json", "with --tally what was measured");
-  program.option("--paths", limits.paths, "", "light paths, in all; without any limit 1e6", 0, 1e18);
-  program.option("--time", limits.seconds, "s", "stop after this long; 0: do not", 0, 1e9);
-  program.option("--target-error", limits.target_error, "",
+  SceneInputs inputs;
+  Campaign campaign;
+  campaign.limits.paths = 0;
+  bool once = false;
+  program.input("scene.json", inputs.scene,
+                "lights, object.ior, and material.core where there is no shell; none with --tally", true);
+  program.input("surface.ply", inputs.surface, "the object's surface", true);
+  program.input("shell.vdb", inputs.shell, "its shell of voxels and core; left out for a homogeneous object", true);
+  program.output("exitance.ply", "the surface with its exitance, for sg-render; .json: with --tally what was measured",
+                 false, {".json"});
+  program.option("--paths", campaign.limits.paths, "", "light paths, in all; without any limit 1e6", 0, 1e18);
+  program.option("--time", campaign.limits.seconds, "s", "stop after this long; 0: do not", 0, 1e9);
+  program.option("--target-error", campaign.limits.target_error, "",
                  "stop at this relative standard error of the result; 0: do not", 0, 1);
+  program.option("--state", campaign.state_path,
+                 "file in which the state is kept: where it is there, the run goes on from it, to the same bytes as "
+                 "without a break");
+  program.flag("--no-interreflection", once, "light that leaves the object or is mirrored does not come back to it");
   tally_options.declare(program);
+  program.example("sg-reference scene.json surface.ply -o reference.ply --target-error 0.01", "exitance, to 1 %");
   program.example(
-      "sg-reference --tally slab --thickness 0.2 --absorption 1 --scattering 9 --anisotropy 0.75 "
-      "--paths 1e6 -o slab.json",
+      "sg-reference --tally slab --thickness 0.2 --absorption 1 --scattering 9 --anisotropy 0.75 --paths 1e6 -o "
+      "slab.json",
       "a slab that tables know");
   return program.run(argc, argv, [&](StageRun& run) {
-    if (limits.paths == 0 && limits.seconds == 0 && limits.target_error == 0) limits.paths = 1e6;
-    limits.interrupted = run.hold_interrupts();
-    tally(tally_options, limits, run);
+    const bool tallies = tally_options.shape != "none",
+               writes_json = std::filesystem::path(run.output()).extension() == ".json";
+    if (tallies && !inputs.scene.empty()) throw UsageError("--tally takes no scene");
+    if (tallies != writes_json)
+      throw UsageError(tallies ? "--tally writes .json" : "expected an output .ply, or --tally");
+    if (!tallies && inputs.surface.empty())
+      throw UsageError(inputs.scene.empty() ? "missing scene.json surface.ply, or --tally" : "missing surface.ply");
+    if (PathLimits& limits = campaign.limits; limits.paths == 0 && limits.seconds == 0 && limits.target_error == 0)
+      limits.paths = 1e6;
+    tallies ? tally(tally_options, campaign, run) : trace_light(inputs, !once, campaign, run);
   });
 }

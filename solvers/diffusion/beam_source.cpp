@@ -278,9 +278,8 @@ BeamSource first_collision_source(const Polygrid& polygrid, const CellCoefficien
       16, static_cast<int>(most_beams / std::max<double>(1, static_cast<double>(polygrid.boundary_quads.rows()))));
   std::vector<SimpleLight> single, parts;
   for (const Light& light : lights) {
-    const bool environment = std::holds_alternative<EnvironmentLight>(light);
     for (const SimpleLight& simple : simple_lights({light}, std::min(environment_samples, affordable)))
-      (environment ? parts : single).push_back(simple);
+      (has_extent(light) ? parts : single).push_back(simple);
   }
   const VertexMatrix normals = vertex_normals(surface);
   const ClosestPointQuery query(surface);

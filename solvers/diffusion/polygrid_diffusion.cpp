@@ -251,8 +251,8 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   progress.begin("light on the surface", 1);
   const SceneGeometry geometry(surface);
   for (const Light& light : lights)
-    if (const auto* point = std::get_if<PointLight>(&light))
-      if (geometry.contains(point->position)) throw InputError("lights: a point light lies inside the object");
+    if (const std::optional<Vec3> place = light_position(light); place && geometry.contains(*place))
+      throw InputError("lights: a light stands inside the object");
   SurfaceIrradiance irradiance = surface_irradiance(surface, geometry, lights, ior, options.environment_samples);
   result.light_directions = irradiance.directions;
   result.light_facing_away = irradiance.facing_away;

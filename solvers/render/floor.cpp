@@ -25,7 +25,7 @@ LitFloor::LitFloor(const Floor& floor, const TriangleMesh& mesh, const SceneGeom
   std::vector<SimpleLight> soft;
   for (const Light& light : lights)
     for (const SimpleLight& simple : simple_lights({light}, environment_samples))
-      (std::holds_alternative<EnvironmentLight>(light) ? soft : sharp_).push_back(simple);
+      (has_extent(light) ? soft : sharp_).push_back(simple);
   const Vec3 lower = mesh.vertices.colwise().minCoeff().transpose(),
              upper = mesh.vertices.colwise().maxCoeff().transpose();
   const Vec3 middle = 0.5 * (lower + upper);

@@ -237,8 +237,41 @@ IncidentBeam incident_beam(const PointLight& light, const Vec3& point) {
   return {way / distance, distance, light.intensity / static_cast<float>(distance * distance)};
 }
 
+IncidentBeam incident_beam(const PatchLight& light, const Vec3& point) {
+  IncidentBeam beam = incident_beam(PointLight{light.position, light.intensity}, point);
+  beam.irradiance *= static_cast<float>(std::max(0.0, -beam.direction.dot(light.direction)));
+  return beam;
+}
+
 IncidentBeam incident_beam(const SimpleLight& light, const Vec3& point) {
   return std::visit([&](const auto& any) { return incident_beam(any, point); }, light);
+}
+
+std::optional<Vec3> light_position(const Light& light) {
+  if (const auto* point = std::get_if<PointLight>(&light)) return point->position;
+  if (const auto* area = std::get_if<AreaLight>(&light)) return area->position;
+  return std::nullopt;
+}
+
+AreaFrame::AreaFrame(const AreaLight& light) : normal(light.direction.normalized()) {
+  up = light.up - light.up.dot(normal) * normal;
+  up = up.norm() > 1e-9 * light.up.norm() ? Vec3(up.normalized()) : normal.unitOrthogonal();
+  right = up.cross(normal);
+}
+
+std::vector<PatchLight> patch_lights(const AreaLight& light, int count) {
+  const AreaFrame frame(light);
+  const double edge = std::sqrt(light.width * light.height / std::max(1, count));
+  const int columns = std::clamp(static_cast<int>(std::lround(light.width / edge)), 1, std::max(1, count));
+  const int rows = std::clamp(static_cast<int>(std::lround(light.height / edge)), 1, std::max(1, count));
+  const Rgb intensity = light.radiance * static_cast<float>(light.width * light.height / (columns * rows));
+  std::vector<PatchLight> patches;
+  for (int row = 0; row < rows; ++row)
+    for (int column = 0; column < columns; ++column)
+      patches.push_back({light.position + ((column + 0.5) / columns - 0.5) * light.width * frame.right +
+                             ((row + 0.5) / rows - 0.5) * light.height * frame.up,
+                         frame.normal, intensity});
+  return patches;
 }
 
 std::vector<SimpleLight> simple_lights(const std::vector<Light>& lights, int environment_samples) {
@@ -246,6 +279,8 @@ std::vector<SimpleLight> simple_lights(const std::vector<Light>& lights, int env
   for (const Light& light : lights) {
     if (const auto* directional = std::get_if<DirectionalLight>(&light)) simple.emplace_back(*directional);
     if (const auto* point = std::get_if<PointLight>(&light)) simple.emplace_back(*point);
+    if (const auto* area = std::get_if<AreaLight>(&light))
+      for (const PatchLight& patch : patch_lights(*area, environment_samples / 4)) simple.emplace_back(patch);
     if (const auto* environment = std::get_if<EnvironmentLight>(&light))
       for (const DirectionalLight& part : directional_lights(*environment, environment_samples))
         simple.emplace_back(part);

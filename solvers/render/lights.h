@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
 #include <memory>
+#include <optional>
 #include <variant>
 #include <vector>
 
@@ -21,6 +22,28 @@ struct PointLight {
   Rgb intensity = Rgb::Zero();   // W sr⁻¹; irradiance at distance r facing it: intensity / r²
 };
 
+// A rectangle that shines from one side, evenly and with the same radiance into all directions. It hides nothing.
+struct AreaLight {
+  Vec3 position = Vec3::Zero();     // of its middle, mm
+  Vec3 direction = Vec3(0, 0, -1);  // in which it faces, unit
+  Vec3 up = Vec3(0, 1, 0);          // along its height, as far as it lies in it
+  double width = 1, height = 1;     // mm
+  Rgb radiance = Rgb::Zero();       // W mm⁻² sr⁻¹
+};
+
+// Its unit axes; along its width, its height, and its direction.
+struct AreaFrame {
+  Vec3 right, up, normal;
+  explicit AreaFrame(const AreaLight& light);
+};
+
+// A small piece of a light with extent: shines evenly from its front.
+struct PatchLight {
+  Vec3 position = Vec3::Zero();     // mm
+  Vec3 direction = Vec3(0, 0, -1);  // in which it faces, unit
+  Rgb intensity = Rgb::Zero();      // straight ahead, W sr⁻¹; falls with the cosine
+};
+
 // Radiance from infinitely far away, W mm⁻² sr⁻¹: either an equirectangular picture or a sky of
 // smooth gradients, and soft round lamps on it.
 struct EnvironmentLight {
@@ -39,7 +62,15 @@ struct EnvironmentLight {
   Rgb scale = Rgb::Ones();  // factor on everything
 };
 
-using Light = std::variant<DirectionalLight, PointLight, EnvironmentLight>;
+using Light = std::variant<DirectionalLight, PointLight, AreaLight, EnvironmentLight>;
+
+// Whether its shadows have soft edges.
+inline bool has_extent(const Light& light) {
+  return std::holds_alternative<AreaLight>(light) || std::holds_alternative<EnvironmentLight>(light);
+}
+
+// Where it stands; none of lights that are infinitely far away.
+std::optional<Vec3> light_position(const Light& light);
 
 // Radiance that arrives from `direction` (unit, towards the sky): sky or picture (bilinear), and lamps.
 Rgb radiance(const EnvironmentLight& environment, const Vec3& direction);
@@ -60,12 +91,17 @@ struct IncidentBeam {
 };
 IncidentBeam incident_beam(const DirectionalLight& light, const Vec3& point);
 IncidentBeam incident_beam(const PointLight& light, const Vec3& point);
+IncidentBeam incident_beam(const PatchLight& light, const Vec3& point);
 
 // A light that comes from one direction at each point.
-using SimpleLight = std::variant<DirectionalLight, PointLight>;
+using SimpleLight = std::variant<DirectionalLight, PointLight, PatchLight>;
 IncidentBeam incident_beam(const SimpleLight& light, const Vec3& point);
 
-// All lights as simple ones: environments become about `environment_samples` parallel lights each.
+// The rectangle as about `count` patches of equal size, nearly square.
+std::vector<PatchLight> patch_lights(const AreaLight& light, int count);
+
+// All lights as simple ones: environments become about `environment_samples` parallel lights each, area lights a
+// quarter as many patches.
 std::vector<SimpleLight> simple_lights(const std::vector<Light>& lights, int environment_samples);
 
 }  // namespace shellgrid

@@ -206,9 +206,8 @@ RenderedImage render_surface(const TriangleMesh& mesh, const OpaqueSurface& surf
   Stage stage(mesh, lights, camera, settings);
   std::vector<SimpleLight> sharp, soft;
   for (const Light& light : lights) {
-    const bool has_extent = std::holds_alternative<EnvironmentLight>(light);
     for (const SimpleLight& simple : simple_lights({light}, settings.environment_samples))
-      (has_extent ? soft : sharp).push_back(simple);
+      (has_extent(light) ? soft : sharp).push_back(simple);
   }
   auto irradiance = [&](const std::vector<SimpleLight>& some, const Vec3& point, const Vec3& face_normal,
                         const Vec3& normal) -> Rgb {

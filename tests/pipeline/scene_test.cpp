@@ -55,7 +55,9 @@ TEST_F(SceneFile, GivesWhatIsInIt) {
     "material": {"shell": {"sample": "s.json", "thickness": 3, "voxel": 0.5}, "core": "bottom-layer"},
     "lights": [{"type": "directional", "direction": [0, 0, -2], "irradiance": [1, 2, 3]},
                {"type": "point", "position": [1, 2, 3], "intensity": 4},
-               {"type": "environment", "zenith": 1, "lamps": [{"direction": [0, 3, 0], "half_angle": 90, "radiance": 2}]}],
+               {"type": "environment", "zenith": 1, "lamps": [{"direction": [0, 3, 0], "half_angle": 90, "radiance": 2}]},
+               {"type": "area", "position": [0, 90, 0], "direction": [0, -4, 0], "up": [0, 0, 2], "width": 3, "height": 5,
+                "radiance": 7}],
     /* another */
     "camera": {"position": [0, 0, 100], "look_at": [0, 1, 0], "up": [0, 2, 0], "fov": 20, "resolution": [32, 16]},
     "method": {"type": "polygrid-diffusion", "nodes": 2e4, "tolerance": 0.01, "operator": "paper",
@@ -68,7 +70,12 @@ TEST_F(SceneFile, GivesWhatIsInIt) {
   EXPECT_EQ(scene.material->shell->thickness, 3);
   EXPECT_EQ(scene.material->shell->voxel, 0.5);
   EXPECT_TRUE(std::holds_alternative<BottomLayerCore>(scene.material->core));
-  ASSERT_EQ(scene.lights.size(), 3u);
+  ASSERT_EQ(scene.lights.size(), 4u);
+  const auto& area = std::get<AreaLight>(scene.lights[3]);
+  EXPECT_EQ(area.direction, Vec3(0, -1, 0));
+  EXPECT_EQ(area.up, Vec3(0, 0, 1));
+  EXPECT_EQ(area.height, 5);
+  EXPECT_EQ(area.radiance[2], 7);
   const auto& directional = std::get<DirectionalLight>(scene.lights[0]);
   EXPECT_NEAR((directional.direction - Vec3(0, 0, -1)).norm(), 0, 1e-15);
   EXPECT_EQ(directional.irradiance[2], 3);
@@ -138,7 +145,7 @@ TEST_F(SceneFile, RefusesWrongTypesAndRanges) {
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {"reflectance": 1.5}}})"), "0 … 1");
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {}, "core": {"named": "marble"}}})"), "material.core: has no place");
   EXPECT_SAYS(complaint(R"({"material": {"shell": {"thickness": 0}}})"), "1e-6 … 10000");
-  EXPECT_SAYS(complaint(R"({"lights": [{"type": "spot"}]})"), "'spot' is none of directional, point, environment");
+  EXPECT_SAYS(complaint(R"({"lights": [{"type": "spot"}]})"), "'spot' is none of directional, point, area, environment");
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "point", "position": [0,0,0]}]})"), "lights[0].intensity: is missing");
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "directional", "direction": [0,0,0], "irradiance": 1}]})"),
               "zero vector");

@@ -2,7 +2,12 @@
 """sg-reference from outside: shapes that tables know, files, determinism, exit codes, nothing left behind."""
 import json
 import os
+import signal
+import subprocess
+import time
 import unittest
+
+import numpy
 
 import programs
 
@@ -26,6 +31,127 @@ class Reference(unittest.TestCase):
 
     def near(self, estimate, expected, errors=3):
         self.assertLess(abs(estimate["value"] - expected), errors * estimate["standard_error"], estimate)
+
+
+def read_ply(path):
+    """Vertices of a binary PLY as a structured array."""
+    with open(path, "rb") as file:
+        data = file.read()
+    start = data.index(b"end_header\n") + len(b"end_header\n")
+    header = data[:start].decode()
+    count = int(header.split("element vertex ")[1].split()[0])
+    kinds = {"double": "<f8", "float": "<f4", "uchar": "u1"}
+    fields = [line.split()[1:] for line in header.split("element face")[0].splitlines() if line.startswith("property")]
+    return numpy.frombuffer(data, numpy.dtype([(name, kinds[kind]) for kind, name in fields]), count, start)
+
+
+class LightTracing(Reference):
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        programs.write_off(cls.at("ball.off"), programs.icosphere(3, 10.0))
+        programs.write_json(cls.at("scene.json"), programs.scene(lights=[
+            {"type": "directional", "direction": [0, 0, -1], "irradiance": [1, 1, 1]},
+            {"type": "area", "position": [0, 30, 0], "direction": [0, -1, 0], "up": [0, 0, 1], "width": 10, "height": 20,
+             "radiance": [1, 2, 3]},
+            {"type": "point", "position": [30, 0, 0], "intensity": 100},
+            {"type": "environment", "zenith": 0.1, "horizon": 0.1, "ground": 0.1}]))
+
+    def trace(self, output, *options, scene="scene.json", surface="ball.off", shell=()):
+        return self.run_reference(scene, surface, *shell, "-o", output + ".ply", *options)
+
+    def bytes_of(self, name):
+        with open(type(self).at(name), "rb") as file:
+            return file.read()
+
+    def test_balances_energy_and_renders(self):
+        done = self.trace("good", "--paths", "2e4")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        record = programs.record(type(self).at("good.ply"))
+        energy = record["results"]["energy"]
+        for c in range(3):
+            self.assertLess(energy["relative_defect"][c], 1e-9)
+            self.assertAlmostEqual(energy["incoming"][c], energy["entering"][c] + energy["mirrored"][c],
+                                   delta=1e-9 * energy["incoming"][c])
+            self.assertEqual(energy["lost"][c], 0)
+        vertices = read_ply(type(self).at("good.ply"))
+        # Half of the lights' light comes from above; every vertex has some, and its error.
+        self.assertGreater(vertices["exitance_g"].min(), 0)
+        self.assertGreater(vertices["exitance_error_g"].min(), 0)
+        self.assertLess((vertices["exitance_error_g"] / vertices["exitance_g"]).max(), 1.5)
+        done = programs.run("render", "scene.json", "good.ply", "-o", "good.exr", cwd=self.place.name)
+        self.assertEqual(done.returncode, 0, done.stderr)
+
+    def test_same_bytes_at_one_and_two_threads_and_after_a_break(self):
+        for name, options in (("one", ["--threads", 1]), ("two", ["--threads", 2])):
+            self.assertEqual(self.trace(name, "--paths", "5000", *options).returncode, 0)
+        for paths in ("1234", "5000"):
+            done = self.trace("parts", "--paths", paths, "--state", "parts.state")
+            self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(self.bytes_of("one.ply"), self.bytes_of("two.ply"))
+        self.assertEqual(self.bytes_of("one.ply"), self.bytes_of("parts.ply"))
+        self.assertEqual(programs.record(type(self).at("parts.ply"))["results"]["paths_of_earlier_runs"], 1234)
+
+    def test_an_interrupt_leaves_a_result_to_go_on_from(self):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            name = "cut-%d" % number
+            run = subprocess.Popen([os.path.join(programs.BIN, "sg-reference"), "scene.json", "ball.off", "-o", name + ".ply",
+                                    "--paths", "1e12", "--state", name + ".state"], cwd=self.place.name,
+                                   stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+            time.sleep(2 * programs.SLOWNESS)
+            run.send_signal(number)
+            _, errors = run.communicate(timeout=60 * programs.SLOWNESS)
+            self.assertEqual(run.returncode, 0, errors)
+            self.assertIn("interrupted", errors)
+            results = programs.record(type(self).at(name + ".ply"))["results"]
+            self.assertEqual(results["ended_by"], "interrupted")
+            paths = results["paths"]
+            self.assertGreater(paths, 0)
+            self.assertEqual(self.trace("whole", "--paths", paths).returncode, 0)
+            self.assertEqual(self.bytes_of("whole.ply"), self.bytes_of(name + ".ply"))
+        self.assertEqual([name for name in os.listdir(self.place.name) if ".partial" in name], [])
+
+    def test_stops_at_a_target_error(self):
+        done = self.trace("target", "--target-error", "0.2")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        results = programs.record(type(self).at("target.ply"))["results"]
+        self.assertLess(results["relative_standard_error"], 0.2)
+        self.assertGreater(results["relative_standard_error"], 0.15)
+
+    def test_bad_states_are_refused(self):
+        self.assertEqual(self.trace("kept", "--paths", "100", "--state", "kept.state").returncode, 0)
+        state = self.bytes_of("kept.state")
+        self.refused(3, "scene.json", "ball.off", "-o", "refused.ply", "--state", "kept.state", "--seed", "3",
+                     words="other inputs or options")
+        for name, content in (("short", state[:200]), ("flipped", state[:300] + bytes([state[300] ^ 1]) + state[301:]),
+                              ("empty", b""), ("text", b"nothing of the kind")):
+            with open(type(self).at(name + ".state"), "wb") as file:
+                file.write(content)
+            self.refused(3, "scene.json", "ball.off", "-o", "refused.ply", "--state", name + ".state",
+                         words=name + ".state")
+
+    def test_bad_input(self):
+        def variant(name, **changes):
+            programs.write_json(type(self).at(name), programs.scene(**changes))
+            return name
+        good = ["ball.off", "-o", "refused.ply"]
+        self.refused(3, "missing.json", *good, words="missing.json")
+        self.refused(3, "scene.json", "scene.json", "-o", "refused.ply", words="scene.json")
+        self.refused(3, variant("dark.json", lights=[]), *good, words="lights")
+        self.refused(3, variant("black.json", lights=[{"type": "point", "position": [30, 0, 0], "intensity": 0}]), *good)
+        self.refused(3, variant("within.json", lights=[{"type": "point", "position": [1, 0, 0], "intensity": 1}]), *good,
+                     words="inside the object")
+        self.refused(3, variant("opaque.json", material={"opaque": {}}), *good, words="opaque")
+        self.refused(3, variant("flat.json", lights=[
+            {"type": "area", "position": [0, 30, 0], "direction": [0, 0, 0], "width": 1, "height": 1, "radiance": 1}]), *good,
+            words="zero vector")
+        self.refused(3, variant("thin.json", lights=[
+            {"type": "area", "position": [0, 30, 0], "direction": [0, 1, 0], "width": 0, "height": 1, "radiance": 1}]), *good,
+            words="width")
+        self.refused(2, "scene.json", "-o", "refused.ply", words="surface.ply")
+        self.refused(2, "-o", "refused.ply", words="scene.json")
+        self.refused(2, "scene.json", "ball.off", "-o", "refused.json", words=".ply")
+        self.refused(2, "scene.json", "ball.off", "-o", "refused.json", "--tally", "slab", words="no scene")
 
 
 class Tally(Reference):

@@ -123,6 +123,23 @@ TEST(Lights, BeamsFollowTheirLaws) {
   EXPECT_FLOAT_EQ(bulb.irradiance[1], 1);
   EnvironmentLight black;
   EXPECT_EQ(simple_lights({DirectionalLight{}, PointLight{}, black}, 64).size(), 2u);
+  // A rectangle's patches: together its power, each dark behind it.
+  const AreaLight area{Vec3(0, 0, 5), Vec3(0, 0, -1), Vec3(0, 1, 0.5), 2, 6, Rgb(1, 2, 3)};
+  const std::vector<PatchLight> patches = patch_lights(area, 48);
+  EXPECT_EQ(patches.size(), 48u);
+  Rgb straight = Rgb::Zero(), behind = Rgb::Zero(), aside = Rgb::Zero();
+  Vec3 reach = Vec3::Zero();
+  for (const PatchLight& patch : patches) {
+    straight += incident_beam(patch, Vec3(0, 0, -995)).irradiance;
+    behind += incident_beam(patch, Vec3(0, 1, 9)).irradiance;
+    aside += incident_beam(patch, Vec3(600, 0, -795)).irradiance;
+    reach = reach.cwiseMax(patch.position.cwiseAbs());
+  }
+  EXPECT_NEAR(straight[1], 2 * 12 / 1e6, 1e-9);
+  EXPECT_NEAR(aside[1], 0.8 * 2 * 12 / 1e6, 1e-9);
+  EXPECT_EQ(behind.sum(), 0);
+  EXPECT_NEAR(reach.x(), 1 - 0.25, 1e-12);  // the middles of patches half a millimetre wide
+  EXPECT_NEAR(reach.y(), 3 - 0.25, 1e-12);
 }
 
 }  // namespace
