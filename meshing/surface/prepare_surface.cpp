@@ -3,6 +3,8 @@
 
 #include <fmt/format.h>
 
+#include <vector>
+
 #include "meshing/core/error.h"
 #include "meshing/surface/retile.h"
 
@@ -40,6 +42,41 @@ bool accept(const TriangleMesh& retiled, const TriangleMesh& placed, const Trian
   return found.pairs == 0;
 }
 
+constexpr double wanted_fit = 0.3;  // spacings between the surfaces
+constexpr int most_refinements = 3;
+constexpr int most_refined_vertices = 300'000;  // over all of them
+
+// Retiles again with edges a little shorter where the surfaces are too far apart, and keeps the nearest.
+void refine_fit(PreparedSurface& result, const TriangleMesh& original, const PrepareOptions& options,
+                RetileOptions retiling, Progress& progress) {
+  const double spacing = options.spacing, limit = wanted_fit * spacing;
+  retiling.refinements.push_back({{}, 0.6, 0.5, 2});
+  std::vector<Vec3>& places = retiling.refinements.back().at;
+  TriangleMesh tried = result.mesh;
+  int vertices = 0;
+  for (int round = 0; round < most_refinements && result.farthest() > limit; ++round) {
+    const auto add_far = [&](const TriangleMesh& from, const TriangleMesh& to) {
+      const std::vector<Vec3> far = samples_beyond(from, to, spacing, 0.9 * limit);
+      places.insert(places.end(), far.begin(), far.end());
+    };
+    vertices += tried.vertex_count();
+    if (vertices > most_refined_vertices) return;
+    add_far(tried, original);
+    add_far(original, tried);
+    const TriangleMesh retiled = retile_surface(original, retiling, progress);
+    ++result.retiling_attempts;
+    tried = retiled;
+    place(tried, options.size);
+    if (!accept(retiled, tried, original, places)) continue;
+    const double to_input = sampled_distance(tried, original, spacing),
+                 from_input = sampled_distance(original, tried, spacing);
+    if (std::max(to_input, from_input) >= result.farthest()) continue;
+    result.mesh = tried;
+    result.to_input = to_input, result.from_input = from_input;
+    result.refined_edge = retiling.refinements.back().factor * spacing;
+  }
+}
+
 }  // namespace
 
 PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions& options, Progress& progress) {
@@ -67,23 +104,24 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
     RetileOptions retiling;
     retiling.spacing = options.spacing;
     retiling.feature_angle = options.feature_angle;
+    retiling.refinements.resize(1);
+    Refinement& refinement = retiling.refinements[0];
     bool accepted = false;
-    for (int attempt = 0; attempt < 4 && !accepted; ++attempt) {
-      const std::size_t known = retiling.refine_at.size();
+    for (int attempt = 0; attempt < 4; ++attempt) {
+      const std::size_t known = refinement.at.size();
       const TriangleMesh retiled = retile_surface(original, retiling, progress);
       ++result.retiling_attempts;
       // Vertices on the surface reach its extremes only nearly.
       result.mesh = retiled;
       place(result.mesh, options.size);
-      accepted = accept(retiled, result.mesh, original, retiling.refine_at);
+      accepted = accept(retiled, result.mesh, original, refinement.at);
       // Wrong in a way that refining does not mend, or everywhere, as a plate much thinner than the spacing is.
-      const std::size_t crossed = retiling.refine_at.size() - known;
-      if (!accepted && (crossed == 0 || crossed > static_cast<std::size_t>(result.mesh.face_count()) / 50)) break;
-      retiling.refine_factor *= 0.5;
+      const std::size_t crossed = refinement.at.size() - known;
+      if (accepted || crossed == 0 || crossed > static_cast<std::size_t>(result.mesh.face_count()) / 50) break;
+      refinement.factor *= 0.5;
+      refinement.core = refinement.reach * refinement.factor;
     }
-    if (accepted && result.retiling_attempts > 1)
-      progress.warn(fmt::format("the surface is finer than the spacing in places; edges shortened to {:.3g} mm there",
-                                options.spacing * 2 * retiling.refine_factor));
+    if (result.retiling_attempts > 1) result.refined_edge = options.spacing * refinement.factor;
     if (!accepted) {
       progress.warn("retiling made the surface cross itself; kept its triangles and subdivided the long ones");
       result.mesh = subdivide_long_edges(original, 4.0 / 3 * options.spacing);
@@ -95,17 +133,21 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
                         "try a smaller spacing or --no-retile",
                         found.pairs, found.at.x(), found.at.y(), found.at.z()));
     }
+    result.to_input = sampled_distance(result.mesh, original, options.spacing);
+    result.from_input = sampled_distance(original, result.mesh, options.spacing);
+    if (accepted) refine_fit(result, original, options, retiling, progress);
   }
   require_closed_surface(result.mesh);
   result.edges = measure_edges(result.mesh);
   result.genus = genus(result.mesh);
   result.volume = enclosed_volume(result.mesh);
   if (options.retile) {
-    result.to_input = sampled_distance(result.mesh, original, options.spacing);
-    result.from_input = sampled_distance(original, result.mesh, options.spacing);
     result.creases = compare_creases(original, result.mesh, options.feature_angle, options.spacing);
-    const double farthest = std::max(result.to_input, result.from_input) / options.spacing;
-    if (farthest > 0.3)
+    if (!result.kept_triangles && result.refined_edge > 0)
+      progress.warn(fmt::format("the surface is finer than the spacing in places; edges shortened to {:.3g} mm there",
+                                result.refined_edge));
+    const double farthest = result.farthest() / options.spacing;
+    if (farthest > wanted_fit)
       progress.warn(
           fmt::format("the object is finer than the spacing in places: the surfaces are up to {:.2g} spacings "
                       "apart",

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <algorithm>
+
 #include "meshing/core/progress.h"
 #include "meshing/core/triangle_mesh.h"
 #include "meshing/surface/repair.h"
@@ -30,13 +32,16 @@ struct PreparedSurface {
   double scale = 1;             // output length over input length
   double to_input = 0;          // sampled distance from the result to the repaired input or the wrap, mm
   double from_input = 0;        // and back, mm
+  double refined_edge = 0;      // length to which edges were shortened in places, mm; 0: nowhere
   CreaseFigures creases;        // of the repaired input, kept by the result
   int retiling_attempts = 0;    // 0: not retiled
   bool kept_triangles = false;  // the repaired triangles were only subdivided, because retiling crossed itself
+  double farthest() const { return std::max(to_input, from_input); }
 };
 
 // Repairs, scales, centres and retiles a mesh. Where the retiled surface intersects itself it is tried again with
-// finer spacing around the crossings, and at last the repaired triangles are only subdivided, with a warning.
+// finer spacing around the crossings, and at last the repaired triangles are only subdivided, with a warning. Where it
+// is farther than 0.3 spacings from the input it is tried again with finer spacing there, a few times.
 // Throws: InputError, as repair_surface; for a spacing too coarse for the object.
 PreparedSurface prepare_surface(const TriangleMesh& mesh, const PrepareOptions& options,
                                 Progress& progress = no_progress());

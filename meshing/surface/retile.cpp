@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <numeric>
 
@@ -23,19 +24,26 @@ Retiling::Retiling(const TriangleMesh& input, const RetileOptions& options)
   refresh();
   find_features();
   find_tips();
-  VertexMatrix points(static_cast<Eigen::Index>(options.refine_at.size()), 3);
-  for (std::size_t i = 0; i < options.refine_at.size(); ++i)
-    points.row(static_cast<Eigen::Index>(i)) = options.refine_at[i].transpose();
-  refinements_ = points;
-  if (points.rows() > 0) refinement_query_ = NearestVertexQuery(points);
+  for (const Refinement& refinement : options.refinements) {
+    if (refinement.at.empty()) continue;
+    VertexMatrix points(static_cast<Eigen::Index>(refinement.at.size()), 3);
+    for (std::size_t i = 0; i < refinement.at.size(); ++i)
+      points.row(static_cast<Eigen::Index>(i)) = refinement.at[i].transpose();
+    refined_.push_back({points, NearestVertexQuery(points), refinement.factor, refinement.core, refinement.reach});
+  }
 }
 
 TriangleMesh Retiling::run(Progress& progress) {
-  double target = options_.spacing / 0.95;
+  double target = options_.spacing / 0.95, last_variation = std::numeric_limits<double>::infinity();
   progress.begin("retiling", options_.iterations);
-  // A few rounds more where the mean has not settled, as on large flat faces.
-  for (int iteration = 0; iteration < 2 * options_.iterations; ++iteration) {
-    if (iteration >= options_.iterations && std::abs(mean_edge() / options_.spacing - 1) < 0.01) break;
+  // A few rounds more where the edges have not settled, as on large flat faces.
+  for (int iteration = 0; iteration < 3 * options_.iterations; ++iteration) {
+    if (iteration >= options_.iterations) {
+      const auto [mean, variation] = edge_statistics();
+      const bool even = !refined_.empty() || variation < 0.145 || variation > last_variation - 0.0008;
+      if (even && (std::abs(mean / options_.spacing - 1) < 0.01 || iteration >= 2 * options_.iterations)) break;
+      last_variation = variation;
+    }
     split_long(4.0 / 3 * target);
     collapse_short(4.0 / 5 * target, 4.0 / 3 * target);
     flip();
@@ -91,22 +99,34 @@ double Retiling::squared_length(EdgeHandle e) const {
 
 double Retiling::scaled_squared_length(EdgeHandle e) const {
   const double length = squared_length(e);
-  if (refinements_.rows() == 0) return length;
+  if (refined_.empty()) return length;
   const HalfedgeHandle h = mesh_.halfedge_handle(e, 0);
   const double scale = size_factor(0.5 * (position(mesh_.to_vertex_handle(h)) + position(mesh_.from_vertex_handle(h))));
   return length / (scale * scale);
 }
 
 double Retiling::size_factor(const Vec3& p) const {
-  if (refinements_.rows() == 0) return 1;
-  const double distance = (refinements_.row(refinement_query_.nearest(p)).transpose() - p).norm();
-  return std::clamp(distance / (4 * options_.spacing), options_.refine_factor, 1.0);
+  double factor = 1;
+  for (const Refined& refined : refined_) {
+    const double distance = (refined.at.row(refined.query.nearest(p)).transpose() - p).norm() / options_.spacing;
+    const double share = std::clamp((distance - refined.core) / (refined.reach - refined.core), 0.0, 1.0);
+    factor = std::min(factor, refined.factor + (1 - refined.factor) * share);
+  }
+  return factor;
 }
 
 double Retiling::mean_edge() const {
   return parallel_sum(mesh_.n_edges(), 0.0,
                       [&](std::size_t e) { return std::sqrt(squared_length(EdgeHandle(static_cast<int>(e)))); }) /
          static_cast<double>(mesh_.n_edges());
+}
+
+std::pair<double, double> Retiling::edge_statistics() const {
+  const double mean = mean_edge();
+  const double squares = parallel_sum(mesh_.n_edges(), 0.0,
+                                      [&](std::size_t e) { return squared_length(EdgeHandle(static_cast<int>(e))); }) /
+                         static_cast<double>(mesh_.n_edges());
+  return {mean, std::sqrt(std::max(0.0, squares / (mean * mean) - 1))};
 }
 
 void Retiling::load(const TriangleMesh& input) {

@@ -7,13 +7,18 @@
 
 namespace shellgrid {
 
+// Around these points edges shorten to `factor` times the spacing, within `core` spacings; farther off they grow, and
+// from `reach` spacings on they are as elsewhere.
+struct Refinement {
+  std::vector<Vec3> at;
+  double factor = 1, core = 0, reach = 4;
+};
+
 struct RetileOptions {
   double spacing = 0.4;       // mean edge length asked for, mm
   double feature_angle = 45;  // degrees between face normals beyond which an edge is sharp; 180: none
   int iterations = 6;         // rounds of splitting, collapsing, flipping and relaxing
-  // Around these points edges shorten to refine_factor times the spacing, growing back over four spacings.
-  std::vector<Vec3> refine_at;
-  double refine_factor = 1;
+  std::vector<Refinement> refinements;
 };
 
 // Retiles a closed surface with nearly equilateral triangles whose mean edge is the spacing. Vertices stay on the input

@@ -51,6 +51,7 @@ class Retiling {
   double scaled_squared_length(EdgeHandle e) const;
   double size_factor(const Vec3& p) const;
   double mean_edge() const;
+  std::pair<double, double> edge_statistics() const;  // mean, and deviation over mean
   void load(const TriangleMesh& input);
   // Marks chains of sharp edges that are long enough to be meant.
   void find_features();
@@ -102,8 +103,12 @@ class Retiling {
     double shortest, longest, height;  // of edges that a change may make, spacings; of a triangle over its longest edge
   } room_{};
   ClosestPointQuery surface_, features_;
-  VertexMatrix refinements_;
-  NearestVertexQuery refinement_query_;
+  struct Refined {
+    VertexMatrix at;
+    NearestVertexQuery query;
+    double factor, core, reach;
+  };
+  std::vector<Refined> refined_;
   std::vector<Vec3> face_normals_;
 };
 

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <mutex>
 #include <numbers>
 
 #include "meshing/core/parallel.h"
@@ -32,35 +34,61 @@ EdgeStatistics measure_edges(const TriangleMesh& mesh) {
   return statistics;
 }
 
-double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double spacing) {
+namespace {
+
+// Calls visit(chunk, point, squared distance) for the samples of `from`, chunks side by side, each in order. Returns
+// the greatest squared distance.
+template <class Visit>
+double visit_samples(const TriangleMesh& from, const TriangleMesh& to, double spacing, const Visit& visit) {
   const ClosestPointQuery query(to);
   constexpr std::size_t chunk = 1024;
-  const auto greatest_over = [&](std::size_t count, const auto& squared_distance_at) {
-    std::vector<double> greatest((count + chunk - 1) / chunk, 0.0);
-    parallel_chunks(count, chunk, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t i = begin; i < end; ++i)
-        greatest[begin / chunk] = std::max(greatest[begin / chunk], squared_distance_at(static_cast<int>(i)));
-    });
-    return greatest.empty() ? 0.0 : *std::max_element(greatest.begin(), greatest.end());
-  };
-  const double at_vertices =
-      greatest_over(from.vertex_count(), [&](int v) { return query.nearest(from.vertex(v)).squared_distance; });
-  const double on_faces = greatest_over(from.face_count(), [&](int f) {
-    const Vec3 a = from.corner(f, 0), ab = from.corner(f, 1) - a, ac = from.corner(f, 2) - a;
-    const double area = 0.5 * ab.cross(ac).norm();
-    // The centres of a regular division into n² triangles.
-    const int n = std::clamp(static_cast<int>(std::ceil(std::sqrt(2 * area) / spacing)), 1, 1000);
-    double greatest = 0;
-    for (int i = 0; i < n; ++i)
-      for (int j = 0; i + j < n; ++j)
-        for (int half = 0; half < (i + j + 1 < n ? 2 : 1); ++half) {
-          const double shift = half == 0 ? 1.0 / 3 : 2.0 / 3;
-          greatest =
-              std::max(greatest, query.nearest(a + (i + shift) / n * ab + (j + shift) / n * ac).squared_distance);
-        }
-    return greatest;
+  const std::size_t vertices = static_cast<std::size_t>(from.vertex_count()),
+                    count = vertices + static_cast<std::size_t>(from.face_count());
+  std::vector<double> greatest((count + chunk - 1) / chunk, 0.0);
+  parallel_chunks(count, chunk, [&](std::size_t begin, std::size_t end) {
+    const auto sample = [&](const Vec3& p) {
+      const double squared = query.nearest(p).squared_distance;
+      greatest[begin / chunk] = std::max(greatest[begin / chunk], squared);
+      visit(begin / chunk, p, squared);
+    };
+    for (std::size_t item = begin; item < end; ++item) {
+      if (item < vertices) {
+        sample(from.vertex(static_cast<int>(item)));
+        continue;
+      }
+      const int f = static_cast<int>(item - vertices);
+      const Vec3 a = from.corner(f, 0), ab = from.corner(f, 1) - a, ac = from.corner(f, 2) - a;
+      const double area = 0.5 * ab.cross(ac).norm();
+      // The centres of a regular division into n² triangles.
+      const int n = std::clamp(static_cast<int>(std::ceil(std::sqrt(2 * area) / spacing)), 1, 1000);
+      for (int i = 0; i < n; ++i)
+        for (int j = 0; i + j < n; ++j)
+          for (int half = 0; half < (i + j + 1 < n ? 2 : 1); ++half) {
+            const double shift = half == 0 ? 1.0 / 3 : 2.0 / 3;
+            sample(a + (i + shift) / n * ab + (j + shift) / n * ac);
+          }
+    }
   });
-  return std::sqrt(std::max(at_vertices, on_faces));
+  return greatest.empty() ? 0.0 : *std::max_element(greatest.begin(), greatest.end());
+}
+
+}  // namespace
+
+double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double spacing) {
+  return std::sqrt(visit_samples(from, to, spacing, [](std::size_t, const Vec3&, double) {}));
+}
+
+std::vector<Vec3> samples_beyond(const TriangleMesh& from, const TriangleMesh& to, double spacing, double limit) {
+  std::map<std::size_t, std::vector<Vec3>> found;
+  std::mutex guard;
+  visit_samples(from, to, spacing, [&](std::size_t chunk, const Vec3& p, double squared) {
+    if (squared <= limit * limit) return;
+    const std::lock_guard lock(guard);
+    found[chunk].push_back(p);
+  });
+  std::vector<Vec3> result;
+  for (const auto& [chunk, points] : found) result.insert(result.end(), points.begin(), points.end());
+  return result;
 }
 
 namespace {

@@ -19,6 +19,9 @@ EdgeStatistics measure_edges(const TriangleMesh& mesh);
 // every spacing²/2 of area and at least one a face, mm. One side of the sampled Hausdorff distance.
 double sampled_distance(const TriangleMesh& from, const TriangleMesh& to, double spacing);
 
+// The points of sampled_distance that are farther than `limit` from the other surface, mm.
+std::vector<Vec3> samples_beyond(const TriangleMesh& from, const TriangleMesh& to, double spacing, double limit);
+
 // How well the sharp edges of one closed surface are sharp edges of another.
 struct CreaseFigures {
   double length = 0;  // of edges sharper than the angle, mm

@@ -78,6 +78,32 @@ TEST(Prepare, KeepsExtremitiesFinerThanTheSpacing) {
   }
 }
 
+// A ball with twelve thorns as thin as the spacing.
+TEST(Prepare, RetilesFinerWhereOnceIsNotNearEnough) {
+  TriangleMesh ball = shapes::sphere(1, 6);
+  const TriangleMesh thorns = shapes::sphere(1, 0);
+  for (int v = 0; v < ball.vertex_count(); ++v) {
+    double radius = 1;
+    for (int t = 0; t < thorns.vertex_count(); ++t) {
+      const double angle = std::acos(std::clamp(ball.vertex(v).dot(thorns.vertex(t)), -1.0, 1.0));
+      radius += 0.6 * std::exp(-std::pow(angle / 0.1, 2));
+    }
+    ball.vertices.row(v) *= radius;
+  }
+  ball = shapes::rotated(ball, 3);
+  const double spacing = 0.3;
+  RetileOptions options;
+  options.spacing = spacing;
+  const TriangleMesh once = retile_surface(ball, options);
+  EXPECT_GT(sampled_distance(ball, once, spacing), 0.3 * spacing);
+  const PreparedSurface result = prepare_surface(ball, {.size = 0, .spacing = spacing});
+  expect_sound(result.mesh);
+  EXPECT_LE(result.farthest(), 0.3 * spacing);
+  EXPECT_GT(result.retiling_attempts, 1);
+  EXPECT_NEAR(result.refined_edge, 0.6 * spacing, 1e-12);
+  EXPECT_NEAR(result.edges.mean, spacing, 0.05 * spacing);
+}
+
 TEST(Prepare, KeepsCreasesWhereTheyAre) {
   // Creases straight and round, with corners and without.
   TriangleMesh prism = shapes::double_cone(48, 6, 4, 4);
@@ -149,6 +175,17 @@ TEST(Subdivision, LeavesTheSurfaceWhereItIs) {
   expect_sound(fine);
   EXPECT_LE(measure_edges(fine).greatest, 0.5);
   EXPECT_NEAR(enclosed_volume(fine), 24, 1e-10);
+}
+
+TEST(SampledDistance, TellsWhichSamplesAreBeyondALimit) {
+  TriangleMesh ball = shapes::sphere(1, 3);
+  const TriangleMesh round = ball;
+  ball.vertices.row(5) *= 1.5;
+  const std::vector<Vec3> far = samples_beyond(ball, round, 0.1, 0.1);
+  ASSERT_FALSE(far.empty());
+  for (const Vec3& p : far) EXPECT_GT(p.norm(), 1.09);
+  EXPECT_NEAR(sampled_distance(ball, round, 0.1), 0.5, 0.01);
+  EXPECT_TRUE(samples_beyond(ball, round, 0.1, 0.6).empty());
 }
 
 TEST(SampledDistance, BetweenConcentricSpheresIsTheDifferenceOfRadii) {
