@@ -1,20 +1,13 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/formats/untrusted_file.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <poll.h>
-#include <signal.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
-#include <sys/wait.h>
 #include <unistd.h>
 #include <xxhash.h>
 
 #include <algorithm>
-#include <cerrno>
-#include <chrono>
-#include <cstring>
 #include <fstream>
 #include <memory>
 
@@ -25,13 +18,6 @@
 namespace shellgrid {
 namespace {
 
-constexpr bool sanitized =
-#ifdef __SANITIZE_ADDRESS__
-    true;
-#else
-    false;
-#endif
-
 // Bytes of addresses that this process has mapped.
 rlim_t address_space() {
   rlim_t pages = 0;
@@ -39,27 +25,11 @@ rlim_t address_space() {
   return pages * static_cast<rlim_t>(::sysconf(_SC_PAGESIZE));
 }
 
-void limit(int resource, rlim_t amount) {
-  rlimit bound{amount, amount};
-  rlimit present;
-  if (::getrlimit(static_cast<__rlimit_resource>(resource), &present) == 0 && present.rlim_max < amount)
-    bound = {present.rlim_max, present.rlim_max};
-  ::setrlimit(static_cast<__rlimit_resource>(resource), &bound);
-}
-
-// The child: never returns. Writes 'k' for a good file or 'e' and a message.
-[[noreturn]] void rehearse(int pipe_end, rlim_t memory, rlim_t seconds, const std::function<void()>& read) {
-  enter_guarded_child();
-  // A sanitizer reports crashes by its own handlers.
-  if (!sanitized)
-    for (int number : {SIGSEGV, SIGABRT, SIGBUS, SIGFPE, SIGILL}) ::signal(number, SIG_DFL);
-  for (int number : {SIGINT, SIGTERM}) ::signal(number, SIG_DFL);
-  const int nowhere = ::open("/dev/null", O_RDWR), warnings = ::memfd_create("warnings", 0);
-  if (nowhere >= 0) ::dup2(nowhere, STDOUT_FILENO);
+// In the child. Writes 'k' for a good file or 'e' and a message.
+bool send_verdict(int pipe, std::size_t memory, const std::function<void()>& read) {
+  const int warnings = ::memfd_create("warnings", 0);
   if (warnings >= 0) ::dup2(warnings, STDERR_FILENO);
-  limit(RLIMIT_CORE, 0);
-  limit(RLIMIT_CPU, seconds);
-  limit(RLIMIT_AS, memory);
+  lower_limit(RLIMIT_AS, memory);
   std::string verdict = "k";
   try {
     read();
@@ -72,8 +42,7 @@ void limit(int resource, rlim_t amount) {
   char warning[1000];
   const ssize_t warned = verdict == "k" && warnings >= 0 ? ::pread(warnings, warning, sizeof warning, 0) : 0;
   if (warned > 0) verdict = "e" + std::string(warning, static_cast<std::size_t>(warned));
-  const ssize_t put = ::write(pipe_end, verdict.data(), std::min<std::size_t>(verdict.size(), 4000));
-  ::_exit(put > 0 ? 0 : 1);
+  return write_all(pipe, verdict.data(), std::min<std::size_t>(verdict.size(), 4000));
 }
 
 }  // namespace
@@ -100,35 +69,8 @@ void rehearse_reading(const std::string& path, const std::string& kind, const st
   // On top of what this process has: compressed grids rarely grow more than sixtyfold.
   const rlim_t memory = address_space() + (rlim_t{512} << 20) + 64 * bytes;
   const int seconds = 4 + static_cast<int>(bytes / 20'000'000);
-  int ends[2];
-  if (::pipe2(ends, O_CLOEXEC) != 0) throw InternalError(fmt::format("pipe: {}", std::strerror(errno)));
-  const pid_t child = ::fork();
-  if (child < 0) {
-    ::close(ends[0]), ::close(ends[1]);
-    throw InternalError(fmt::format("fork: {}", std::strerror(errno)));
-  }
-  if (child == 0) rehearse(ends[1], memory, static_cast<rlim_t>(seconds), read);
-  ::close(ends[1]);
-  std::string verdict;
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20 * seconds);
-  for (;;) {
-    const auto left =
-        std::chrono::duration_cast<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();
-    pollfd waiting{ends[0], POLLIN, 0};
-    const int ready = left <= 0 ? 0 : ::poll(&waiting, 1, static_cast<int>(left));
-    if (ready < 0 && errno == EINTR) continue;
-    if (ready <= 0) break;
-    char block[4096];
-    const ssize_t got = ::read(ends[0], block, sizeof block);
-    if (got < 0 && errno == EINTR) continue;
-    if (got <= 0) break;
-    verdict.append(block, static_cast<std::size_t>(got));
-  }
-  ::close(ends[0]);
-  ::kill(child, SIGKILL);
-  int status = 0;
-  while (::waitpid(child, &status, 0) < 0 && errno == EINTR) {
-  }
+  const std::string verdict =
+      run_guarded(seconds, 20 * seconds, [&](int pipe) { return send_verdict(pipe, memory, read); }).bytes;
   if (verdict == "k") return;
   if (verdict.size() > 1 && verdict[0] == 'e') {
     const std::string message = one_line(verdict.substr(1));

@@ -1,19 +1,12 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/polycube/tetrahedralize.h"
 
-#include <fcntl.h>
-#include <poll.h>
-#include <sys/resource.h>
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <tetgen.h>
+#include <unistd.h>
 
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
-#include <cerrno>
-#include <csignal>
 #include <cstring>
 #include <optional>
 #include <string>
@@ -26,68 +19,35 @@ namespace shellgrid {
 namespace {
 
 // In the child: runs TetGen and sends the mesh through the pipe.
-[[noreturn]] void run_child(const TriangleMesh& surface, int pipe, double limit_seconds) {
-  enter_guarded_child();
-  const rlimit time{static_cast<rlim_t>(limit_seconds), static_cast<rlim_t>(limit_seconds) + 5};
-  setrlimit(RLIMIT_CPU, &time);
-  const rlimit no_core{0, 0};
-  setrlimit(RLIMIT_CORE, &no_core);
-  // TetGen talks on both streams, whatever it is told.
-  const int null = ::open("/dev/null", O_WRONLY);
-  if (null >= 0) ::dup2(null, 1), ::dup2(null, 2);
-  try {
-    tetgenio in, out;
-    in.firstnumber = 0;
-    in.numberofpoints = surface.vertex_count();
-    in.pointlist = new REAL[3 * static_cast<std::size_t>(in.numberofpoints)];
-    std::copy(surface.vertices.data(), surface.vertices.data() + surface.vertices.size(), in.pointlist);
-    in.numberoffacets = surface.face_count();
-    in.facetlist = new tetgenio::facet[in.numberoffacets];
-    for (int f = 0; f < in.numberoffacets; ++f) {
-      tetgenio::facet& facet = in.facetlist[f];
-      tetgenio::init(&facet);
-      facet.numberofpolygons = 1;
-      facet.polygonlist = new tetgenio::polygon[1];
-      tetgenio::polygon& polygon = facet.polygonlist[0];
-      tetgenio::init(&polygon);
-      polygon.numberofvertices = 3;
-      polygon.vertexlist = new int[3];
-      for (int k = 0; k < 3; ++k) polygon.vertexlist[k] = surface.faces(f, k);
-    }
-    char switches[] = "pYQ";
-    {
-      const ForeignCode foreign;
-      ::tetrahedralize(switches, &in, &out);
-    }
-    const std::int64_t counts[2] = {out.numberofpoints, out.numberoftetrahedra};
-    const bool sent = counts[1] > 0 && out.numberofcorners == 4 && write_all(pipe, counts, sizeof counts) &&
-                      write_all(pipe, out.pointlist, sizeof(double) * 3 * static_cast<std::size_t>(counts[0])) &&
-                      write_all(pipe, out.tetrahedronlist, sizeof(int) * 4 * static_cast<std::size_t>(counts[1]));
-    ::_exit(sent ? 0 : 1);
-  } catch (...) {
-    ::_exit(1);
+bool send_tetrahedra(const TriangleMesh& surface, int pipe) {
+  tetgenio in, out;
+  in.firstnumber = 0;
+  in.numberofpoints = surface.vertex_count();
+  in.pointlist = new REAL[3 * static_cast<std::size_t>(in.numberofpoints)];
+  std::copy(surface.vertices.data(), surface.vertices.data() + surface.vertices.size(), in.pointlist);
+  in.numberoffacets = surface.face_count();
+  in.facetlist = new tetgenio::facet[in.numberoffacets];
+  for (int f = 0; f < in.numberoffacets; ++f) {
+    tetgenio::facet& facet = in.facetlist[f];
+    tetgenio::init(&facet);
+    facet.numberofpolygons = 1;
+    facet.polygonlist = new tetgenio::polygon[1];
+    tetgenio::polygon& polygon = facet.polygonlist[0];
+    tetgenio::init(&polygon);
+    polygon.numberofvertices = 3;
+    polygon.vertexlist = new int[3];
+    for (int k = 0; k < 3; ++k) polygon.vertexlist[k] = surface.faces(f, k);
   }
-}
-
-// Reads until the child closes the pipe; empty where it took too long.
-std::optional<std::vector<char>> read_all(int pipe, double limit_seconds) {
-  std::vector<char> bytes;
-  std::vector<char> buffer(1 << 16);
-  double waited = 0;
-  for (;;) {
-    pollfd ready{pipe, POLLIN, 0};
-    const int result = ::poll(&ready, 1, 1000);
-    if (result < 0 && errno != EINTR) return std::nullopt;
-    if (result <= 0) {
-      if ((waited += 1) > 4 * limit_seconds) return std::nullopt;
-      continue;
-    }
-    const ssize_t count = ::read(pipe, buffer.data(), buffer.size());
-    if (count < 0 && errno == EINTR) continue;
-    if (count < 0) return std::nullopt;
-    if (count == 0) return bytes;
-    bytes.insert(bytes.end(), buffer.begin(), buffer.begin() + count);
+  char switches[] = "pYQ";
+  {
+    const ForeignCode foreign;
+    ::tetrahedralize(switches, &in, &out);
   }
+  const std::int64_t counts[2] = {out.numberofpoints, out.numberoftetrahedra};
+  const bool sent = counts[1] > 0 && out.numberofcorners == 4 && write_all(pipe, counts, sizeof counts) &&
+                    write_all(pipe, out.pointlist, sizeof(double) * 3 * static_cast<std::size_t>(counts[0])) &&
+                    write_all(pipe, out.tetrahedronlist, sizeof(int) * 4 * static_cast<std::size_t>(counts[1]));
+  ::_exit(sent ? 0 : 1);  // sooner than by giving back what TetGen holds
 }
 
 double signed_volume(const TetrahedralMesh& mesh, Eigen::Index t) {
@@ -105,34 +65,20 @@ double total_volume(const TetrahedralMesh& mesh) {
 }
 
 std::optional<TetrahedralMesh> fill(const TriangleMesh& surface, double limit_seconds) {
-  int ends[2];
-  if (::pipe2(ends, O_CLOEXEC) != 0)
-    throw InputError(std::string("cannot start the tetrahedral mesher: ") + std::strerror(errno));
-  const pid_t child = ::fork();
-  if (child < 0) {
-    ::close(ends[0]), ::close(ends[1]);
-    throw InputError(std::string("cannot start the tetrahedral mesher: ") + std::strerror(errno));
-  }
-  if (child == 0) run_child(surface, ends[1], limit_seconds);
-  ::close(ends[1]);
-  const std::optional<std::vector<char>> bytes = read_all(ends[0], limit_seconds);
-  ::close(ends[0]);
-  if (!bytes) ::kill(child, SIGKILL);
-  int status = 0;
-  while (::waitpid(child, &status, 0) < 0 && errno == EINTR) {
-  }
-  if (!bytes || !WIFEXITED(status) || WEXITSTATUS(status) != 0 || bytes->size() < 2 * sizeof(std::int64_t))
-    return std::nullopt;
+  const GuardedAnswer answer =
+      run_guarded(limit_seconds, 4 * limit_seconds, [&](int pipe) { return send_tetrahedra(surface, pipe); });
+  const std::string& bytes = answer.bytes;
+  if (!answer.finished || bytes.size() < 2 * sizeof(std::int64_t)) return std::nullopt;
   std::int64_t counts[2];
-  std::memcpy(counts, bytes->data(), sizeof counts);
+  std::memcpy(counts, bytes.data(), sizeof counts);
   const std::size_t point_bytes = sizeof(double) * 3 * static_cast<std::size_t>(counts[0]);
-  if (bytes->size() != sizeof counts + point_bytes + sizeof(int) * 4 * static_cast<std::size_t>(counts[1]))
+  if (bytes.size() != sizeof counts + point_bytes + sizeof(int) * 4 * static_cast<std::size_t>(counts[1]))
     return std::nullopt;
   TetrahedralMesh mesh;
   mesh.points.resize(counts[0], 3);
   mesh.tetrahedra.resize(counts[1], 4);
-  std::memcpy(mesh.points.data(), bytes->data() + sizeof counts, point_bytes);
-  std::memcpy(mesh.tetrahedra.data(), bytes->data() + sizeof counts + point_bytes, sizeof(int) * 4 * counts[1]);
+  std::memcpy(mesh.points.data(), bytes.data() + sizeof counts, point_bytes);
+  std::memcpy(mesh.tetrahedra.data(), bytes.data() + sizeof counts + point_bytes, sizeof(int) * 4 * counts[1]);
   for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t)
     if (signed_volume(mesh, t) < 0) std::swap(mesh.tetrahedra(t, 2), mesh.tetrahedra(t, 3));
   return mesh;

@@ -1,22 +1,16 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/surface/rewrap.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <poll.h>
 #include <sys/resource.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <cerrno>
-#include <chrono>
 #include <cmath>
-#include <csignal>
 #include <cstring>
+#include <limits>
 #include <numeric>
-#include <optional>
+#include <string>
 #include <vector>
 
 #include "meshing/core/error.h"
@@ -27,62 +21,26 @@
 namespace shellgrid {
 namespace {
 
-constexpr int limit_seconds = 50;                // of processor time, over all attempts
-constexpr rlim_t limit_bytes = rlim_t{5} << 30;  // of data
-constexpr double least_share = 1.0 / 2000;       // of the object's length that a resolution may be
+constexpr int limit_seconds = 50;                          // of processor time, over all attempts
+constexpr std::size_t limit_bytes = std::size_t{5} << 30;  // of data
+constexpr double least_share = 1.0 / 2000;                 // of the object's length that a resolution may be
 constexpr double offset_share =
     0.1;  // of the resolution; half as much doubles the time, and halves the thickness of sheets
 
 // In the child: wraps and sends the surface through the pipe.
-[[noreturn]] void run_child(const TriangleMesh& mesh, double alpha, double offset, double seconds, int pipe) {
-  enter_guarded_child();
-  const auto limit = [](auto resource, rlim_t amount) {
-    const rlimit bound{amount, amount};
-    setrlimit(resource, &bound);
-  };
-  limit(RLIMIT_CORE, 0);
-  limit(RLIMIT_CPU, static_cast<rlim_t>(std::ceil(seconds)));
+bool send_wrap(const TriangleMesh& mesh, double alpha, double offset, int pipe) {
 #ifndef __SANITIZE_ADDRESS__  // whose shadow counts as data
-  limit(RLIMIT_DATA, limit_bytes);
-  for (const int number : {SIGSEGV, SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGXCPU}) ::signal(number, SIG_DFL);
+  lower_limit(RLIMIT_DATA, limit_bytes);
 #endif
-  const int null = ::open("/dev/null", O_WRONLY);
-  if (null >= 0) ::dup2(null, 1), ::dup2(null, 2);
-  try {
-    TriangleMesh wrap;
-    {
-      const ForeignCode foreign;
-      wrap = wrap_triangles(mesh, alpha, offset);
-    }
-    const std::int64_t counts[2] = {wrap.vertices.rows(), wrap.faces.rows()};
-    const bool sent =
-        write_all(pipe, counts, sizeof counts) &&
-        write_all(pipe, wrap.vertices.data(), sizeof(double) * static_cast<std::size_t>(wrap.vertices.size())) &&
-        write_all(pipe, wrap.faces.data(), sizeof(std::int32_t) * static_cast<std::size_t>(wrap.faces.size()));
-    ::_exit(sent ? 0 : 1);
-  } catch (...) {
-    ::_exit(1);
+  TriangleMesh wrap;
+  {
+    const ForeignCode foreign;
+    wrap = wrap_triangles(mesh, alpha, offset);
   }
-}
-
-// Reads until the child closes the pipe; empty where it took too long.
-std::optional<std::vector<char>> read_all(int pipe, double seconds) {
-  std::vector<char> bytes, buffer(1 << 16);
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::duration<double>(4 * seconds);
-  for (;;) {
-    pollfd ready{pipe, POLLIN, 0};
-    const int result = ::poll(&ready, 1, 1000);
-    if (result < 0 && errno != EINTR) return std::nullopt;
-    if (result <= 0) {
-      if (std::chrono::steady_clock::now() > deadline) return std::nullopt;
-      continue;
-    }
-    const ssize_t count = ::read(pipe, buffer.data(), buffer.size());
-    if (count < 0 && errno == EINTR) continue;
-    if (count < 0) return std::nullopt;
-    if (count == 0) return bytes;
-    bytes.insert(bytes.end(), buffer.begin(), buffer.begin() + count);
-  }
+  const std::int64_t counts[2] = {wrap.vertices.rows(), wrap.faces.rows()};
+  return write_all(pipe, counts, sizeof counts) &&
+         write_all(pipe, wrap.vertices.data(), sizeof(double) * static_cast<std::size_t>(wrap.vertices.size())) &&
+         write_all(pipe, wrap.faces.data(), sizeof(std::int32_t) * static_cast<std::size_t>(wrap.faces.size()));
 }
 
 [[noreturn]] void fail(const char* what) {
@@ -91,37 +49,23 @@ std::optional<std::vector<char>> read_all(int pipe, double seconds) {
 
 // Lowers the seconds by what the child used.
 TriangleMesh wrap_guarded(const TriangleMesh& mesh, double alpha, double offset, double& seconds) {
-  int ends[2];
-  if (::pipe2(ends, O_CLOEXEC) != 0) throw InternalError(fmt::format("pipe: {}", std::strerror(errno)));
-  const pid_t child = ::fork();
-  if (child < 0) {
-    ::close(ends[0]), ::close(ends[1]);
-    throw InternalError(fmt::format("fork: {}", std::strerror(errno)));
-  }
-  if (child == 0) run_child(mesh, alpha, offset, seconds, ends[1]);
-  ::close(ends[1]);
-  const std::optional<std::vector<char>> bytes = read_all(ends[0], seconds);
-  ::close(ends[0]);
-  if (!bytes) ::kill(child, SIGKILL);
-  int status = 0;
-  rusage usage{};
-  while (::wait4(child, &status, 0, &usage) < 0 && errno == EINTR) {
-  }
-  seconds -= static_cast<double>(usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) + 1;
-  if (!bytes || (WIFSIGNALED(status) && (WTERMSIG(status) == SIGXCPU || WTERMSIG(status) == SIGKILL)))
-    fail("takes too long");
-  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) fail("failed or needs too much memory");
+  const GuardedAnswer answer =
+      run_guarded(seconds, 4 * seconds, [&](int pipe) { return send_wrap(mesh, alpha, offset, pipe); });
+  const std::string& bytes = answer.bytes;
+  seconds -= answer.seconds + 1;
+  if (answer.out_of_time) fail("takes too long");
+  if (!answer.finished) fail("failed or needs too much memory");
   std::int64_t counts[2] = {0, 0};
-  if (bytes->size() >= sizeof counts) std::memcpy(counts, bytes->data(), sizeof counts);
+  if (bytes.size() >= sizeof counts) std::memcpy(counts, bytes.data(), sizeof counts);
   TriangleMesh wrap;
   wrap.vertices.resize(counts[0], 3);
   wrap.faces.resize(counts[1], 3);
   const std::size_t vertex_bytes = sizeof(double) * static_cast<std::size_t>(wrap.vertices.size());
   const std::size_t face_bytes = sizeof(std::int32_t) * static_cast<std::size_t>(wrap.faces.size());
-  if (bytes->size() != sizeof counts + vertex_bytes + face_bytes) fail("failed");
+  if (bytes.size() != sizeof counts + vertex_bytes + face_bytes) fail("failed");
   if (counts[1] == 0) fail("leaves nothing");
-  std::memcpy(wrap.vertices.data(), bytes->data() + sizeof counts, vertex_bytes);
-  std::memcpy(wrap.faces.data(), bytes->data() + sizeof counts + vertex_bytes, face_bytes);
+  std::memcpy(wrap.vertices.data(), bytes.data() + sizeof counts, vertex_bytes);
+  std::memcpy(wrap.faces.data(), bytes.data() + sizeof counts + vertex_bytes, face_bytes);
   return wrap;
 }
 
