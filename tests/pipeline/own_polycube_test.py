@@ -7,7 +7,7 @@ import unittest
 
 import numpy
 
-from programs import record, run, torus, workplace, write_off
+from programs import WorkplaceTest, record, run, torus, write_off
 
 RING = [[i, j, 0] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
 
@@ -44,23 +44,11 @@ def write_mask(path, cubes, edge, origin, tiles=()):
     return path
 
 
-class OwnPolycube(unittest.TestCase):
+class OwnPolycube(WorkplaceTest):
     def setUp(self):
-        self.holder = workplace()
-        self.folder = self.holder.name
+        super().setUp()
         write_off(self.at("surface.off"), torus())
         self.ok("tetrahedralize", self.at("surface.off"), "-o", self.at("tets.hdf"))
-
-    def tearDown(self):
-        self.holder.cleanup()
-
-    def at(self, name):
-        return os.path.join(self.folder, name)
-
-    def ok(self, program, *arguments):
-        process = run(program, *arguments)
-        self.assertEqual(process.returncode, 0, process.stderr)
-        return process
 
     def polycube(self, *arguments):
         self.ok("polycube", self.at("tets.hdf"), *arguments, "-o", self.at("polycube.hdf"))

@@ -6,7 +6,7 @@ import unittest
 import h5py
 import numpy
 
-from programs import box, icosphere, record, run, torus, workplace, write_off
+from programs import WorkplaceTest, box, icosphere, record, run, torus, workplace, write_off
 
 GEOMETRY = ["tets.hdf", "polycube.hdf", "polygrid.hdf", "polycube.view.ply", "polygrid.view.ply"]
 
@@ -16,22 +16,7 @@ def read_bytes(path):
         return file.read()
 
 
-class PolygridStages(unittest.TestCase):
-    def setUp(self):
-        self.holder = workplace()
-        self.folder = self.holder.name
-
-    def tearDown(self):
-        self.holder.cleanup()
-
-    def at(self, name):
-        return os.path.join(self.folder, name)
-
-    def ok(self, program, *arguments):
-        process = run(program, *arguments)
-        self.assertEqual(process.returncode, 0, process.stderr)
-        return process
-
+class PolygridStages(WorkplaceTest):
     def chain(self, mesh, nodes=6000, threads=None, folder=None):
         folder = folder or self.folder
         at = lambda name: os.path.join(folder, name)

@@ -6,20 +6,12 @@ import subprocess
 import sys
 import unittest
 
-from programs import BIN, SLOWNESS, icosphere, torus, workplace, write_off
+from programs import BIN, SLOWNESS, WorkplaceTest, icosphere, torus, write_off
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
 
-class GeometryReport(unittest.TestCase):
-    def setUp(self):
-        holder = workplace()
-        self.addCleanup(holder.cleanup)
-        self.folder = holder.name
-
-    def at(self, *names):
-        return os.path.join(self.folder, *names)
-
+class GeometryReport(WorkplaceTest):
     def report(self, *arguments, programs=BIN):
         done = subprocess.run([sys.executable, "-B", os.path.join(HERE, "geometry_report.py"), self.at("in"), "-o",
                                self.at("out"), *map(str, arguments)], capture_output=True, text=True,

@@ -9,7 +9,7 @@ import unittest
 import h5py
 import numpy
 
-from programs import BIN, SLOWNESS, SOURCE, box, icosphere, record, torus, workplace, write_off
+from programs import BIN, SLOWNESS, SOURCE, WorkplaceTest, box, icosphere, record, torus, write_off
 
 sys.path.append(os.path.join(SOURCE, "tests", "report"))
 import grid_check
@@ -75,15 +75,7 @@ def hairpin(length, thickness, gap, depth):
     return vertices, faces
 
 
-class GeometryChain(unittest.TestCase):
-    def setUp(self):
-        holder = workplace()
-        self.addCleanup(holder.cleanup)
-        self.folder = holder.name
-
-    def at(self, name):
-        return os.path.join(self.folder, name)
-
+class GeometryChain(WorkplaceTest):
     def stage(self, name, *arguments):
         # Under sanitizers addresses are no measure of memory.
         ended = run_limited([os.path.join(BIN, "sg-" + name), "-q", *arguments], 120 * SLOWNESS,

@@ -5,6 +5,7 @@ import math
 import os
 import subprocess
 import tempfile
+import unittest
 
 BIN = os.environ.get("SG_BIN", os.path.join(os.getcwd(), "build", "bin"))
 # How many times longer everything takes than in a release build.
@@ -22,6 +23,23 @@ def run(program, *arguments, cwd=None, timeout=300, env=None, preexec=None):
 def workplace():
     """A temporary folder that goes away with the returned object."""
     return tempfile.TemporaryDirectory(prefix="sg-test-")
+
+
+class WorkplaceTest(unittest.TestCase):
+    """A test that works in a temporary folder of its own."""
+
+    def setUp(self):
+        holder = workplace()
+        self.addCleanup(holder.cleanup)
+        self.folder = holder.name
+
+    def at(self, *names):
+        return os.path.join(self.folder, *names)
+
+    def ok(self, program, *arguments):
+        process = run(program, *arguments)
+        self.assertEqual(process.returncode, 0, process.stderr)
+        return process
 
 
 def record(path):
