@@ -166,6 +166,9 @@ class Study:
             flaws.append("genus")
         if grid["boundary_distance"]["points_off_surface"]:
             flaws.append("off surface")
+        # The grid is sound, but not of the whole object.
+        if grid["coverage"]["p99"] > 1:
+            flaws.append("uncovered")
 
 
 def row_of(findings):
@@ -221,11 +224,12 @@ def summary(all_findings, options):
     grids = [findings for findings in all_findings if findings["grid"]]
     slowest = max((cost["wall"] for findings in all_findings for cost in findings["stages"].values()), default=0)
     peak = max((cost["peak_mib"] for findings in all_findings for cost in findings["stages"].values()), default=0)
-    return ("%d meshes at %g nodes: %d valid polygrids (%d of the wrong genus, %d with points off the surface), %d refused, "
-            "%d failed. Longest stage %.1f s, most memory %.0f MiB." %
+    return ("%d meshes at %g nodes: %d valid polygrids (%d of the wrong genus, %d with points off the surface, %d that leave more "
+            "than 1 %% of the surface uncovered), %d refused, %d failed. Longest stage %.1f s, most memory %.0f MiB." %
             (len(all_findings), options.nodes, count(lambda f: f["grid"] and not f["failures"]),
              count(lambda f: "genus" in f["flaws"]), count(lambda f: "off surface" in f["flaws"]),
-             count(lambda f: not f["grid"] and not f["failures"]), count(lambda f: f["failures"]), slowest, peak))
+             count(lambda f: "uncovered" in f["flaws"]), count(lambda f: not f["grid"] and not f["failures"]),
+             count(lambda f: f["failures"]), slowest, peak))
 
 
 def find_meshes(places):

@@ -36,6 +36,7 @@ class GeometryReport(WorkplaceTest):
         self.assertTrue(ring["verdict"].startswith("valid"), ring)
         self.assertGreater(float(ring["jacobian mean"]), 0.75)
         self.assertLess(float(ring["coverage p99"]), 1)
+        self.assertNotIn("uncovered", ring["verdict"])
         for stage in ["prepare", "distance", "tetrahedralize", "polycube", "polygrid"]:
             self.assertGreater(float(ring[stage + " cpu s"]), 0)
             self.assertGreater(float(ring[stage + " MiB"]), 5)
