@@ -230,20 +230,34 @@ struct SceneInputs {
   }
 };
 
-TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const TriangleMesh& mesh) {
+TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const TriangleMesh& mesh, StageRun& run) {
   if (scene.material && scene.material->opaque)
     throw InputError(scene.path + ": material.opaque: no light passes into this object");
-  if (!scene.material || !std::holds_alternative<Material>(scene.material->core))
+  const bool homogeneous = inputs.shell.empty();
+  if (homogeneous && (!scene.material || !std::holds_alternative<Material>(scene.material->core)))
     throw InputError(scene.path + ": no homogeneous core; give shell.vdb, or material.core with coefficients");
-  return TransportObject(mesh, std::get<Material>(scene.material->core),
-                         scene.object ? scene.object->ior : SceneObject{}.ior);
+  if (homogeneous)
+    return naming(inputs.surface, [&] {
+      return TransportObject(mesh, std::get<Material>(scene.material->core),
+                             scene.object ? scene.object->ior : SceneObject{}.ior);
+    });
+  const ShellVolume shell = read_shell_volume(inputs.shell);
+  TransportObject object =
+      naming(inputs.shell, [&] { return TransportObject(mesh, shell, scene.object ? scene.object->ior : shell.ior); });
+  const LeafMethodCounts& leaves = std::get<ShellMedium>(object.medium()).methods();
+  run.results()["leaves"] = {{"uniform", leaves.uniform},
+                             {"voxels", leaves.voxels},
+                             {"delta", leaves.delta},
+                             {"without", leaves.without_leaf}};
+  run.results()["free_space_faces"] = object.free_space().face_count();
+  return object;
 }
 
 void trace_light(const SceneInputs& inputs, bool interreflection, const Campaign& campaign, StageRun& run) {
   run.start_timer("read");
   const Scene scene = read_scene(inputs.scene);
   const TriangleMesh mesh = read_mesh(inputs.surface).mesh;
-  const TransportObject object = read_object(inputs, scene, mesh);
+  const TransportObject object = read_object(inputs, scene, mesh, run);
   LightTracingOptions options;
   options.seed = run.seed();
   options.interreflection = interreflection;

@@ -102,6 +102,7 @@ PathKind LightTracing::kind() const {
     path.point = ray.origin;
     path.direction = ray.direction;
     path.weight = ray.power / watts;
+    object_.begin(path);
     TracingVisitor visitor(object_.mesh(), watts, options_.interreflection, tally);
     std::visit(
         [&](const auto& medium) {

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "meshing/core/error.h"
+#include "meshing/shell/voxel_boundary.h"
 
 namespace shellgrid {
 namespace {
@@ -28,18 +29,48 @@ TransportObject::TransportObject(const TriangleMesh& mesh, const Material& mater
   clearance_ = surface_clearance(mesh_, TriangleMesh());
 }
 
-bool TransportObject::contains(const Vec3& point) const {
-  // Seven fixed directions; the side of the first face in each, the majority deciding.
+TransportObject::TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior,
+                                 const LeafMethod* method)
+    : mesh_(mesh), ior_(ior), medium_(HomogeneousMedium(Material())) {
+  if (!(ior >= 1) || !std::isfinite(ior)) throw InputError("the refractive index must be at least 1");
+  if (shell.core_interpolated)
+    throw InputError(
+        "shell: its core continues the bottom layer; transport takes a homogeneous core (sg-shell --core "
+        "bottom-layer, or coefficients)");
+  surface_ = std::make_unique<TransportSurface>(mesh_, TriangleMesh());
+  std::vector<Vec3i> free_voxels;
+  medium_ = ShellMedium(
+      shell, [this](const Vec3& point) { return contains(point); }, &free_voxels, method);
+  free_space_ = voxel_boundary(shell.frame, free_voxels);
+  if (free_space_.face_count() > 0) surface_ = std::make_unique<TransportSurface>(mesh_, free_space_);
+  clearance_ = surface_clearance(mesh_, free_space_);
+}
+
+bool TransportObject::contains(const Vec3& point, SurfaceKind surface) const {
+  // Fixed directions; the side of the first face in each, the majority deciding.
   constexpr int directions = 7;
+  constexpr double infinite = std::numeric_limits<double>::infinity();
+  const auto kind = static_cast<std::size_t>(surface);
   int votes = 0;
   for (int i = 0; i < directions; ++i) {
     const double z = 1 - (2 * i + 1.0) / directions, angle = 2.399963229728653 * i + 0.7, r = std::sqrt(1 - z * z);
     const Vec3 direction(r * std::cos(angle), r * std::sin(angle), z);
-    Crossing out, in;
-    const double infinite = std::numeric_limits<double>::infinity();
-    const bool leaves = surface_->next(point, direction, infinite, {true, false}, out);
-    const bool enters = surface_->next(point, direction, infinite, {false, false}, in);
-    votes += leaves && (!enters || out.distance < in.distance);
+    // Past the crossings of the other surface.
+    const auto first = [&](bool leaves) {
+      Crossing crossing;
+      std::array<bool, 2> inside = {leaves, leaves};
+      Vec3 from = point;
+      double way = 0;
+      while (surface_->next(from, direction, infinite, inside, crossing)) {
+        way += crossing.distance;
+        if (crossing.surface == surface) return way;
+        inside[1 - kind] = !inside[1 - kind];
+        from = crossing.point;
+      }
+      return infinite;
+    };
+    const double out = first(true);
+    votes += out < infinite && out < first(false);
   }
   return 2 * votes > directions;
 }

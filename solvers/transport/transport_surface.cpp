@@ -101,6 +101,8 @@ TransportSurface::TransportSurface(const TriangleMesh& outer, const TriangleMesh
   if (!(impl_->scale > 0)) throw InputError("the surface is a single point");
   for (int v = 0; v < outer.vertex_count(); ++v)
     impl_->radius = std::max(impl_->radius, (outer.vertex(v) - impl_->centre).norm());
+  for (int v = 0; v < free_space.vertex_count(); ++v)
+    impl_->radius = std::max(impl_->radius, (free_space.vertex(v) - impl_->centre).norm());
 
   // Embree builds with denormal numbers flushed to zero. Where its build is the process's first parallel work, all
   // later work on TBB inherits that; so something else goes first.

@@ -36,9 +36,8 @@ class TransportSurface {
   bool next(const Vec3& origin, const Vec3& direction, double limit, const std::array<bool, 2>& inside,
             Crossing& crossing) const;
 
-  // Of the outer surface.
-  const Vec3& centre() const;  // of its bounding box
-  double radius() const;       // of a sphere about it that holds the surface, mm
+  const Vec3& centre() const;  // of the outer surface's bounding box
+  double radius() const;       // of a sphere about it that holds both surfaces, mm
   // How far before its start a ray begins, mm: 2e-6 of the object's longest side.
   double tolerance() const;
 

@@ -154,6 +154,55 @@ class LightTracing(Reference):
         self.refused(2, "scene.json", "ball.off", "-o", "refused.json", "--tally", "slab", words="no scene")
 
 
+class Shell(Reference):
+    """A ball with bumps of wax: voxels, free space between, and the core below."""
+
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        programs.write_off(cls.at("ball.off"), programs.icosphere(3, 6.0))
+        wax = {"absorption": [0.01, 0.02, 0.05], "scattering": 1.5, "anisotropy": [0, 0.3, 0.6]}
+        programs.write_json(cls.at("bumps.json"), {
+            "type": "bumps", "size": [24, 24], "voxel": 0.6, "thickness": 3, "radius": 1.2, "lift": 0.5, "count": 8,
+            "materials": {"body": wax, "bump": wax}, "ior": 1.4})
+        programs.write_json(cls.at("scene.json"), programs.scene(material={
+            "shell": {"sample": "bumps.json", "thickness": 3, "voxel": 0.6}, "core": wax}))
+        for arguments in (["prepare", "ball.off", "-o", "surface.ply", "--size", "12", "--spacing", "0.6"],
+                          ["distance", "surface.ply", "-o", "distance.vdb", "--voxel", "0.6", "--inside", "4"],
+                          ["sample", "bumps.json", "-o", "sample.vdb"], ["textons", "sample.vdb", "-o", "textons.vdb"],
+                          ["synthesize", "surface.ply", "textons.vdb", "-o", "synthesized.ply"],
+                          ["shell", "synthesized.ply", "distance.vdb", "sample.vdb", "-o", "shell.vdb", "--thickness", "3"]):
+            done = programs.run(*arguments, cwd=cls.place.name)
+            assert done.returncode == 0, done.stderr
+
+    def test_light_meets_the_bumps_and_the_account_closes(self):
+        done = self.run_reference("scene.json", "surface.ply", "shell.vdb", "-o", "reference.ply", "--paths", "4e4")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        results = programs.record(type(self).at("reference.ply"))["results"]
+        self.assertGreater(results["free_space_faces"], 100)
+        self.assertGreater(results["leaves"]["voxels"], 10)
+        energy = results["energy"]
+        for c in range(3):
+            self.assertLess(energy["relative_defect"][c], 1e-9)
+            self.assertAlmostEqual(energy["incoming"][c], energy["entering"][c] + energy["mirrored"][c],
+                                   delta=1e-4 * energy["incoming"][c])
+            self.assertLess(energy["lost"][c], 1e-4 * energy["incoming"][c])
+            self.assertGreater(energy["absorbed_shell"][c], 0)
+            self.assertGreater(energy["absorbed_core"][c], 0)
+
+    def test_a_damaged_shell(self):
+        with open(type(self).at("shell.vdb"), "rb") as file:
+            data = file.read()
+        with open(type(self).at("short.vdb"), "wb") as file:
+            file.write(data[: len(data) // 2])
+        self.refused(3, "scene.json", "surface.ply", "short.vdb", "-o", "refused.ply", words="short.vdb")
+        self.refused(3, "scene.json", "surface.ply", "sample.vdb", "-o", "refused.ply", words="sample.vdb")
+        done = programs.run("shell", "synthesized.ply", "distance.vdb", "sample.vdb", "-o", "continued.vdb", "--thickness", "3",
+                            "--core", "interpolated", cwd=self.place.name)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.refused(3, "scene.json", "surface.ply", "continued.vdb", "-o", "refused.ply", words="homogeneous core")
+
+
 class Tally(Reference):
     def measured(self, *options, output="tally.json"):
         done = self.run_reference("--tally", *options, "-o", output)

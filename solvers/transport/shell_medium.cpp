@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/transport/shell_medium.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <unordered_set>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "solvers/transport/homogeneous_medium.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr std::int32_t core_source = -1, space_source = -2;
+constexpr int clearance_cells = 128;
+
+// The 26 voxels about one, nearest first.
+std::vector<Vec3i> neighbours() {
+  std::vector<Vec3i> list;
+  for (int distance = 1; distance <= 3; ++distance)
+    for (int n = 0; n < 27; ++n) {
+      const Vec3i offset(n / 9 - 1, n / 3 % 3 - 1, n % 3 - 1);
+      if (offset.squaredNorm() == distance) list.push_back(offset);
+    }
+  return list;
+}
+
+// Where each voxel's matter comes from: a voxel of the shell (leaf · 512 + offset), the core, or it is free space.
+class Sources {
+ public:
+  Sources(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside)
+      : shell_(shell),
+        inside_(inside),
+        grid_(shell.extinction.lower_leaf() - Vec3i::Ones(), shell.extinction.leaf_counts() + 2 * Vec3i::Ones(),
+              core_source),
+        around_(neighbours()) {
+    take_shell();
+    add_outer_layer();
+    if (free_.empty()) return;
+    add_space_above();
+    give_space_matter();
+  }
+
+  const TwoLevelGrid<std::int32_t>& grid() const { return grid_; }
+  // With those above the outer surface, that its surface may lie beyond the object's.
+  const std::vector<Vec3i>& free_voxels() const { return free_; }
+
+ private:
+  bool in_shell(const Vec3i& v) const { return shell_.extinction.is_active(v.x(), v.y(), v.z()); }
+  std::int32_t kind(const Vec3i& v) const { return shell_.kind.value(v.x(), v.y(), v.z()); }
+  std::int32_t own_source(const Vec3i& v) const {
+    const int leaf = shell_.extinction.find_leaf(shell_.extinction.leaf_of(v.x(), v.y(), v.z()));
+    return leaf * 512 + shell_.extinction.offset_of(v.x(), v.y(), v.z());
+  }
+  void set(const Vec3i& v, std::int32_t source) { grid_.set(v.x(), v.y(), v.z(), source); }
+  bool known(const Vec3i& v) const { return grid_.is_active(v.x(), v.y(), v.z()); }
+
+  void take_shell() {
+    shell_.extinction.for_each_active([&](int i, int j, int k, const Vec3f&) {
+      const Vec3i v(i, j, k);
+      const bool space = kind(v) == 0;
+      set(v, space ? space_source : own_source(v));
+      if (space) free_.push_back(v);
+    });
+  }
+
+  // Voxels that reach into the object from outside are like their nearest neighbour within.
+  void add_outer_layer() {
+    const double reach = std::sqrt(3.0) + 1e-3, layers = shell_.thickness / shell_.frame.voxel;
+    std::unordered_set<std::uint64_t> within;  // looked at and found to be core
+    const auto key = [](const Vec3i& v) {
+      return (static_cast<std::uint64_t>(v.x() & 0x1fffff) << 42) |
+             (static_cast<std::uint64_t>(v.y() & 0x1fffff) << 21) | static_cast<std::uint64_t>(v.z() & 0x1fffff);
+    };
+    shell_.extinction.for_each_active([&](int i, int j, int k, const Vec3f&) {
+      const Vec3i v(i, j, k);
+      const double depth = shell_.texture_coordinate.value(i, j, k).z();
+      if (depth > reach) return;
+      for (const Vec3i& offset : around_) {
+        const Vec3i n = v + offset;
+        if (known(n) || in_shell(n) || within.count(key(n))) continue;
+        // Too near to the surface to lie below the shell; else the surface has to say.
+        if (depth + reach >= layers && inside_(shell_.frame.to_world(n))) {
+          within.insert(key(n));
+          continue;
+        }
+        for (const Vec3i& back : around_)
+          if (in_shell(n + back)) {
+            const bool space = kind(n + back) == 0;
+            set(n, space ? space_source : own_source(n + back));
+            if (space) outer_free_.push_back(n);
+            break;
+          }
+      }
+    });
+    free_.insert(free_.end(), outer_free_.begin(), outer_free_.end());
+  }
+
+  // A second layer of free voxels above those beyond the surface: nobody's matter, but space.
+  void add_space_above() {
+    const bool thin = shell_.thickness / shell_.frame.voxel < 4;
+    std::vector<Vec3i> above;
+    for (const Vec3i& v : outer_free_)
+      for (const Vec3i& offset : around_) {
+        const Vec3i n = v + offset;
+        if (known(n) || in_shell(n)) continue;
+        bool touches_shell = false;
+        for (const Vec3i& back : around_) touches_shell = touches_shell || in_shell(n + back);
+        if ((touches_shell || thin) && inside_(shell_.frame.to_world(n))) continue;
+        above.push_back(n);
+      }
+    const auto before = [](const Vec3i& a, const Vec3i& b) {
+      return std::tuple(a.x(), a.y(), a.z()) < std::tuple(b.x(), b.y(), b.z());
+    };
+    std::sort(above.begin(), above.end(), before);
+    above.erase(std::unique(above.begin(), above.end()), above.end());
+    free_.insert(free_.end(), above.begin(), above.end());
+  }
+
+  // The surface of free space cuts through voxels: what lies on its other side in a free one is the neighbour's.
+  void give_space_matter() {
+    std::vector<std::pair<Vec3i, std::int32_t>> given;
+    for (const Vec3i& v : free_) {
+      const bool of_shell = in_shell(v);
+      if (!of_shell && !known(v)) continue;
+      for (const Vec3i& offset : around_) {
+        const Vec3i n = v + offset;
+        const std::int32_t source = grid_.value(n.x(), n.y(), n.z());
+        if (source == space_source || (source == core_source && (!of_shell || !is_core(n)))) continue;
+        given.emplace_back(v, source);
+        break;
+      }
+    }
+    for (const auto& [v, source] : given) set(v, source);
+  }
+  bool is_core(const Vec3i& v) const { return !known(v) && inside_(shell_.frame.to_world(v)); }
+
+  const ShellVolume& shell_;
+  const std::function<bool(const Vec3&)>& inside_;
+  TwoLevelGrid<std::int32_t> grid_;
+  std::vector<Vec3i> around_, free_, outer_free_;
+};
+
+bool same(Float4 a, Float4 b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2] && a[3] == b[3]; }
+
+}  // namespace
+
+ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside,
+                         std::vector<Vec3i>* free_voxels, const LeafMethod* method)
+    : voxel_(shell.frame.voxel), per_voxel_(1 / shell.frame.voxel) {
+  check_transport_material(shell.core);
+  const Sources sources(shell, inside);
+  if (free_voxels) *free_voxels = sources.free_voxels();
+  const TwoLevelGrid<std::int32_t>& grid = sources.grid();
+  count_ = grid.leaf_counts();
+  origin_ = shell.frame.origin + voxel_ * (8.0 * grid.lower_leaf().cast<double>() - Vec3::Constant(0.5));
+  top_.assign(grid.top_cells(), grid.top_cells() + static_cast<std::size_t>(count_.x()) * count_.y() * count_.z());
+
+  const auto optics = [](const Rgb& albedo, const Rgb& anisotropy, bool is_core, Float4& albedo_out, Float4& g_out) {
+    const ScatteringPlace place = scattering_place(albedo, anisotropy, 0);
+    albedo_out = to_lanes(albedo);
+    albedo_out[3] = (place.white ? 1.0f : 0.0f) + (is_core ? 2.0f : 0.0f);
+    g_out = to_lanes(anisotropy);
+    g_out[3] = place.one_anisotropy ? 1.0f : 0.0f;
+  };
+  const auto add_voxel = [&](std::int32_t source) {
+    Float4 albedo, anisotropy;
+    if (source == core_source || source == space_source) {
+      extinction_.push_back(source == core_source ? to_lanes(shell.core.extinction) : Float4{});
+      optics(source == core_source ? shell.core.albedo : Rgb(Rgb::Zero()), shell.core.anisotropy, source == core_source,
+             albedo, anisotropy);
+    } else {
+      const int leaf = source / 512, offset = source % 512;
+      const Material material{shell.extinction.leaf_values(leaf)[offset].array(),
+                              shell.albedo.leaf_values(leaf)[offset].array(),
+                              shell.anisotropy.leaf_values(leaf)[offset].array()};
+      naming("shell", [&] { check_transport_material(material); });
+      extinction_.push_back(to_lanes(material.extinction));
+      optics(material.albedo, material.anisotropy, false, albedo, anisotropy);
+    }
+    albedo_.push_back(albedo);
+    anisotropy_.push_back(anisotropy);
+  };
+  add_voxel(core_source);
+
+  ClearanceGrid clearance(origin_, origin_ + 8 * voxel_ * count_.cast<double>(),
+                          std::clamp(4 * count_.maxCoeff(), 1, clearance_cells));
+  for (int index = 0; index < grid.leaf_count(); ++index) {
+    Leaf leaf;
+    leaf.first = static_cast<std::uint32_t>(extinction_.size());
+    const std::int32_t* const values = grid.leaf_values(index);
+    for (int offset = 0; offset < 512; ++offset) add_voxel(values[offset]);
+    // Uniform: one voxel stands for all. Else from voxel to voxel, unless collisions of the majorant are rare and most
+    // of them real.
+    bool uniform = true;
+    double sum = 0;
+    for (std::size_t v = leaf.first; v < extinction_.size(); ++v) {
+      uniform = uniform && same(extinction_[v], extinction_[leaf.first]) && same(albedo_[v], albedo_[leaf.first]) &&
+                same(anisotropy_[v], anisotropy_[leaf.first]);
+      for (int c = 0; c < 3; ++c) {
+        leaf.majorant = std::max(leaf.majorant, extinction_[v][c]);
+        sum += extinction_[v][c];
+      }
+    }
+    const double mean = sum / (3 * 512);
+    leaf.method = uniform                                                      ? LeafMethod::uniform
+                  : leaf.majorant * voxel_ < 0.1 && mean > 0.5 * leaf.majorant ? LeafMethod::delta
+                                                                               : LeafMethod::voxels;
+    if (method && !(*method == LeafMethod::uniform) && leaf.majorant > 0) leaf.method = *method;
+    if (leaf.method == LeafMethod::uniform) {
+      extinction_.resize(leaf.first + 1);
+      albedo_.resize(leaf.first + 1);
+      anisotropy_.resize(leaf.first + 1);
+      ++methods_.uniform;
+    } else {
+      ++(leaf.method == LeafMethod::voxels ? methods_.voxels : methods_.delta);
+    }
+    leaves_.push_back(leaf);
+    const Vec3 lower = origin_ + 8 * voxel_ * (grid.leaf_coordinate(index) - grid.lower_leaf()).cast<double>();
+    clearance.add_box(lower, lower + Vec3::Constant(8 * voxel_));
+  }
+  clearance.finish();
+  core_clearance_ = std::move(clearance);
+  methods_.without_leaf = top_.size() - leaves_.size();
+}
+
+}  // namespace shellgrid
