@@ -8,6 +8,7 @@
 
 #include <filesystem>
 #include "meshing/core/error.h"
+#include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/number_archive.h"
 #include "meshing/formats/output_file.h"
@@ -16,6 +17,7 @@
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
+#include "solvers/transport/camera_paths.h"
 #include "solvers/transport/light_tracing.h"
 #include "solvers/transport/tally_shapes.h"
 
@@ -278,6 +280,28 @@ void trace_light(const SceneInputs& inputs, bool interreflection, const Campaign
                         result.leaving.channel[1].value));
 }
 
+void take_picture(const SceneInputs& inputs, Campaign campaign, bool limited, StageRun& run) {
+  run.start_timer("read");
+  const Scene scene = read_scene(inputs.scene);
+  if (!scene.camera) throw InputError(scene.path + ": no camera");
+  const TriangleMesh mesh = read_mesh(inputs.surface).mesh;
+  const TransportObject object = read_object(inputs, scene, mesh, run);
+  if (scene.floor) run.progress().warn("the scene's floor is left out");
+  CameraPathOptions options;
+  options.seed = run.seed();
+  options.background = scene.background;
+  const CameraPaths paths(object, scene.lights, *scene.camera, options);
+  if (!limited) campaign.limits.paths = 1.0 * scene.method.samples_per_pixel * static_cast<double>(paths.pixel_count());
+  run.start_timer("follow");
+  const PathState state = campaign.follow(paths.kind(), inputs.fingerprint(scene, "camera", run.seed()), run);
+  run.start_timer("write");
+  write_exr(run.output(), paths.picture(state));
+  run.results()["relative_standard_error"] = paths.relative_error(state);
+  run.print(fmt::format("{}: {} paths, {:.3g} a pixel, radiance ± {:.2g} %", run.output(), state.paths,
+                        static_cast<double>(state.paths) / static_cast<double>(paths.pixel_count()),
+                        100 * paths.relative_error(state)));
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -288,12 +312,16 @@ int main(int argc, char** argv) {
   campaign.limits.paths = 0;
   bool once = false;
   program.input("scene.json", inputs.scene,
-                "lights, object.ior, and material.core where there is no shell; none with --tally", true);
+                "lights, object.ior, material.core where there is no shell, for pictures camera; none with --tally",
+                true);
   program.input("surface.ply", inputs.surface, "the object's surface", true);
   program.input("shell.vdb", inputs.shell, "its shell of voxels and core; left out for a homogeneous object", true);
-  program.output("exitance.ply", "the surface with its exitance, for sg-render; .json: with --tally what was measured",
-                 false, {".json"});
-  program.option("--paths", campaign.limits.paths, "", "light paths, in all; without any limit 1e6", 0, 1e18);
+  program.output("exitance.ply",
+                 "the surface with its exitance, for sg-render; .exr: the picture by camera paths; .json: with --tally "
+                 "what was measured",
+                 false, {".exr", ".json"});
+  program.option("--paths", campaign.limits.paths, "",
+                 "light paths, in all; without any limit 1e6, of a picture method.samples_per_pixel for each", 0, 1e18);
   program.option("--time", campaign.limits.seconds, "s", "stop after this long; 0: do not", 0, 1e9);
   program.option("--target-error", campaign.limits.target_error, "",
                  "stop at this relative standard error of the result; 0: do not", 0, 1);
@@ -308,15 +336,21 @@ int main(int argc, char** argv) {
       "slab.json",
       "a slab that tables know");
   return program.run(argc, argv, [&](StageRun& run) {
-    const bool tallies = tally_options.shape != "none",
-               writes_json = std::filesystem::path(run.output()).extension() == ".json";
+    const std::string extension = std::filesystem::path(run.output()).extension().string();
+    const bool tallies = tally_options.shape != "none";
     if (tallies && !inputs.scene.empty()) throw UsageError("--tally takes no scene");
-    if (tallies != writes_json)
-      throw UsageError(tallies ? "--tally writes .json" : "expected an output .ply, or --tally");
+    if (tallies != (extension == ".json"))
+      throw UsageError(tallies ? "--tally writes .json" : "expected an output .ply or .exr, or --tally");
     if (!tallies && inputs.surface.empty())
       throw UsageError(inputs.scene.empty() ? "missing scene.json surface.ply, or --tally" : "missing surface.ply");
-    if (PathLimits& limits = campaign.limits; limits.paths == 0 && limits.seconds == 0 && limits.target_error == 0)
-      limits.paths = 1e6;
-    tallies ? tally(tally_options, campaign, run) : trace_light(inputs, !once, campaign, run);
+    PathLimits& limits = campaign.limits;
+    const bool limited = limits.paths > 0 || limits.seconds > 0 || limits.target_error > 0;
+    if (!limited) limits.paths = 1e6;
+    if (tallies)
+      tally(tally_options, campaign, run);
+    else if (extension == ".exr")
+      take_picture(inputs, campaign, limited, run);
+    else
+      trace_light(inputs, !once, campaign, run);
   });
 }

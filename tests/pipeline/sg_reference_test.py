@@ -154,6 +154,44 @@ class LightTracing(Reference):
         self.refused(2, "scene.json", "ball.off", "-o", "refused.json", "--tally", "slab", words="no scene")
 
 
+class Picture(Reference):
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        programs.write_off(cls.at("ball.off"), programs.icosphere(3, 10.0))
+        programs.write_json(cls.at("scene.json"), programs.scene(
+            material={"core": {"absorption": 0, "scattering": 1}},
+            lights=[{"type": "environment", "zenith": 1, "horizon": 1, "ground": 1}]))
+        programs.write_json(cls.at("sun.json"), programs.scene())
+
+    def shot(self, output, *options, scene="scene.json"):
+        return self.run_reference(scene, "ball.off", "-o", output + ".exr", *options)
+
+    def test_white_object_under_an_even_sky_is_invisible(self):
+        done = self.shot("white", "--threads", 2)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        record = programs.record(type(self).at("white.exr"))
+        self.assertEqual(record["results"]["paths"], 48 * 32 * 16)
+        self.assertLess(record["results"]["relative_standard_error"], 1e-6)
+        with open(type(self).at("white.exr"), "rb") as file:
+            whole = file.read()
+        for paths in ("5000", "24576"):
+            self.assertEqual(self.shot("parts", "--paths", paths, "--threads", 1, "--state", "parts.state").returncode, 0)
+        with open(type(self).at("parts.exr"), "rb") as file:
+            self.assertEqual(file.read(), whole)
+        described = programs.run("describe", "white.exr", cwd=self.place.name)
+        self.assertEqual(described.returncode, 0, described.stderr)
+        self.assertIn("error.G", described.stdout)
+
+    def test_bad_input(self):
+        self.refused(3, "sun.json", "ball.off", "-o", "refused.exr", words="directional")
+        programs.write_json(type(self).at("inside.json"), programs.scene(
+            camera={"position": [1, 0, 0]}, lights=[{"type": "environment", "zenith": 1}]))
+        self.refused(3, "inside.json", "ball.off", "-o", "refused.exr", words="inside the object")
+        programs.write_json(type(self).at("blind.json"), programs.scene(camera=None))
+        self.refused(3, "blind.json", "ball.off", "-o", "refused.exr", words="no camera")
+
+
 class Shell(Reference):
     """A ball with bumps of wax: voxels, free space between, and the core below."""
 
