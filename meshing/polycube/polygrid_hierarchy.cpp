@@ -306,6 +306,9 @@ std::vector<PointTransfer> point_transfers(const Polygrid& polygrid) {
     std::vector<std::int32_t> coarse_corners = corner_points(coarse, places);
     transfers.push_back(transfer_points(fine, fine_corners, fine_points, coarse, coarse_corners, parent));
     transfers.back().coarse_lattice = places;
+    transfers.back().cell_parent = std::move(parent);
+    transfers.back().coarse_cell_lattice = coarse.lattice;
+    transfers.back().coarse_corners = coarse_corners;
     fine = std::move(coarse);
     fine_corners = std::move(coarse_corners);
     fine_points = places.size();

@@ -69,6 +69,9 @@ struct PointTransfer {
   // Of each fine point the 1, 2, 4 or 8 coarse points whose equal mean it takes; none for outer points.
   std::vector<std::int64_t> start;
   std::vector<std::int32_t> parent;
+  std::vector<std::int32_t> cell_parent;     // of each fine core cell
+  std::vector<Vec3i> coarse_cell_lattice;    // of the coarse cells
+  std::vector<std::int32_t> coarse_corners;  // 8 coarse points a coarse cell; bit k of the corner: towards + axis k
 };
 
 // As many as the polygrid's hierarchy has levels, or could have where it has none, finest first. Fine points of the

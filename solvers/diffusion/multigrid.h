@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "solvers/diffusion/diffusion_solver.h"
 #include "solvers/diffusion/polygrid_system.h"
 
 namespace shellgrid {
@@ -77,18 +78,6 @@ class Multigrid {
   std::vector<Level> levels_;
   std::array<Eigen::LDLT<Eigen::MatrixXd>, 3> coarsest_;
   bool direct_ = false;
-};
-
-// What the iteration did.
-struct SolveReport {
-  int iterations = 0;
-  double tolerance = 0;
-  // Estimated relative error of the exitance (L2 over the surface), the largest of the channels, before each iteration
-  // and at the end; and the residual's norm over the right-hand side's.
-  std::vector<double> error_history, residual_history;
-  double estimated_error = 0;
-  std::size_t unknowns = 0;
-  std::vector<std::size_t> level_sizes;
 };
 
 // Solves A φ = source for the three channels by conjugate gradients around the V-cycle, until the exitance's

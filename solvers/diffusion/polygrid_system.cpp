@@ -308,8 +308,13 @@ void CouplingOperator::apply(const std::vector<Double4>& x, std::vector<Double4>
       1024);
 }
 
-PolygridSystem assemble_polygrid_system(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior) {
+double check_polygrid(const Polygrid& polygrid) {
   check_indices(polygrid);
+  return check_cells(polygrid);
+}
+
+PolygridSystem assemble_polygrid_system(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior) {
+  const double volume = check_polygrid(polygrid);
   const auto cells = static_cast<std::size_t>(polygrid.cells.rows());
   if (coefficients.absorption.size() != 8 * cells || coefficients.reduced_extinction.size() != 8 * cells)
     throw InputError("polygrid: the coefficients do not belong to its cells");
@@ -317,7 +322,7 @@ PolygridSystem assemble_polygrid_system(const Polygrid& polygrid, const CellCoef
   PolygridSystem system;
   system.boundary_factor = fresnel.boundary_factor;
   system.current_reflectance = fresnel.current_reflectance;
-  system.volume = check_cells(polygrid);
+  system.volume = volume;
 
   std::vector<ElementTerms> elements(cells);
   parallel_for(cells, [&](std::size_t cell) {

@@ -48,6 +48,10 @@ struct PolygridSystem {
   double volume = 0;                             // mm³, of the cells
 };
 
+// Throws InputError where an index is out of range, an array's length is wrong, or a cell is inverted or flat; returns
+// the cells' volume, mm³.
+double check_polygrid(const Polygrid& polygrid);
+
 // Assembles ∫ D ∇φ·∇v + ∫ σ_a φ v + ∫_A φ v / (2C) on trilinear elements. Source: PHYSICS D1, D2.
 // Core cells take 2×2×2 Gauss points; thin boundary cells take their corners, which decouples the two
 // faces' points but for the links, so that a layer of any thinness stays solvable; absorption and surface

@@ -1,0 +1,544 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/diffusion/diffusion_solver.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "solvers/scattering/fresnel.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr std::size_t grain = 4096;
+
+std::string number_text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%g", value);
+  return text;
+}
+
+std::string history_text(const std::vector<double>& history) {
+  std::string text;
+  char number[32];
+  for (double r : history) {
+    std::snprintf(number, sizeof number, " %.2e", r);
+    text += number;
+  }
+  return text;
+}
+
+template <class A, class B, class Term>
+Double4 sum_over(const LevelVector<A>& a, const LevelVector<B>& b, std::size_t inner, const Term& term) {
+  Double4 total = parallel_sum(
+      (inner + grain - 1) / grain, Double4{},
+      [&](std::size_t k) {
+        Double4 sum = {};
+        const std::size_t end = std::min(inner, (k + 1) * grain);
+        for (int c = 0; c < 3; ++c) {
+          double part[8] = {};
+          const A* x = a.inner[c];
+          const B* y = b.inner[c];
+          for (std::size_t i = k * grain; i < end; ++i)
+            part[i % 8] += term(static_cast<double>(x[i]), static_cast<double>(y[i]));
+          for (double p : part) sum[c] += p;
+        }
+        return sum;
+      },
+      1);
+  for (std::size_t s = 0; s < a.outer.size(); ++s)
+    for (int c = 0; c < 3; ++c) total[c] += term(a.outer[s][c], b.outer[s][c]);
+  return total;
+}
+
+template <class A, class B>
+Double4 dot(const LevelVector<A>& a, const LevelVector<B>& b, std::size_t inner) {
+  return sum_over(a, b, inner, [](double x, double y) { return x * y; });
+}
+
+// Calls body(value of a, value of b, channel) with references, for all entries.
+template <class A, class B, class Body>
+void for_entries(LevelVector<A>& a, LevelVector<B>& b, std::size_t inner, const Body& body) {
+  parallel_chunks(inner, 4 * grain, [&](std::size_t begin, std::size_t end) {
+    for (int c = 0; c < 3; ++c) {
+      auto* x = a.inner[c];
+      auto* y = b.inner[c];
+      for (std::size_t i = begin; i < end; ++i) body(x[i], y[i], c);
+    }
+  });
+  for (std::size_t s = 0; s < a.outer.size(); ++s)
+    for (int c = 0; c < 3; ++c) {
+      A x = a.outer[s][c];
+      B y = b.outer[s][c];
+      body(x, y, c);
+      a.outer[s][c] = x;
+      b.outer[s][c] = y;
+    }
+}
+
+}  // namespace
+
+DiffusionSolver::DiffusionSolver(const Polygrid& polygrid, const SolverParameters& parameters)
+    : parameters_(parameters), polygrid_(polygrid) {
+  check_polygrid(polygrid);
+  levels_ = build_levels(polygrid, parameters.coarsest_size, fine_);
+  for (const RunLevel& level : levels_) {
+    lights_.emplace_back();
+    lights_.back().outer.resize(level.surface.size());
+  }
+}
+
+void DiffusionSolver::set_material(const CellCoefficients& coefficients, double ior, double least_tolerance) {
+  const DiffuseFresnel fresnel = diffuse_fresnel(ior);
+  boundary_factor_ = fresnel.boundary_factor;
+  current_reflectance_ = fresnel.current_reflectance;
+  AssemblyOptions options;
+  options.boundary_factor = boundary_factor_;
+  options.keep_single = least_tolerance < parameters_.exact_below;
+  terms_ = assemble_levels(polygrid_, coefficients, options, fine_, levels_);
+  prepare_coarsest();
+  has_material_ = true;
+}
+
+std::vector<std::size_t> DiffusionSolver::level_sizes() const {
+  std::vector<std::size_t> sizes;
+  for (const RunLevel& level : levels_) sizes.push_back(level.size());
+  return sizes;
+}
+
+void DiffusionSolver::prepare_coarsest() {
+  const RunLevel& level = levels_.back();
+  const std::size_t inner = level.inner_size(), n = level.size();
+  direct_ = n <= 4 * parameters_.coarsest_size;
+  if (!direct_) return;
+  std::array<Eigen::MatrixXd, 3> dense;
+  for (auto& matrix : dense) matrix.resize(n, n);
+  LevelVector<double> unit(inner, n - inner), column(inner, n - inner);
+  for (std::size_t j = 0; j < n; ++j) {
+    const auto set = [&](double value) {
+      for (int c = 0; c < 3; ++c) (j < inner ? unit.inner[c][j] : unit.outer[j - inner][c]) = value;
+    };
+    set(1);
+    apply_level(level, unit, column);
+    set(0);
+    for (int c = 0; c < 3; ++c)
+      for (std::size_t i = 0; i < n; ++i)
+        dense[c](i, j) = i < inner ? column.inner[c][i] : column.outer[i - inner][c];
+  }
+  parallel_for(
+      3,
+      [&](std::size_t c) {
+        Eigen::MatrixXd symmetric = 0.5 * (dense[c] + dense[c].transpose());
+        // Coarse outer points off the surface's plane may repeat each other: a trace of a shift keeps them apart.
+        const double shift = 1e-9 * symmetric.diagonal().maxCoeff();
+        for (std::size_t i = 0; i < n; ++i) symmetric(i, i) += 1e-7 * symmetric(i, i) + shift;
+        coarsest_[c].compute(symmetric);
+      },
+      1);
+}
+
+void DiffusionSolver::solve_coarsest() {
+  RunLevel& level = levels_.back();
+  const std::size_t inner = level.inner_size(), n = level.size();
+  for (int c = 0; c < 3; ++c) {
+    Eigen::VectorXd b(n);
+    for (std::size_t i = 0; i < n; ++i)
+      b[i] = i < inner ? level.right_side.inner[c][i] : level.right_side.outer[i - inner][c];
+    const Eigen::VectorXd x = coarsest_[c].solve(b);
+    for (std::size_t i = 0; i < inner; ++i) level.x.inner[c][i] = static_cast<float>(x[i]);
+    for (std::size_t i = inner; i < n; ++i) level.x.outer[i - inner][c] = static_cast<float>(x[i]);
+  }
+}
+
+// Chebyshev's polynomials of the fourth kind, which need an upper bound of the spectrum only.
+// Source: [Lottes2022 alg. 3.1].
+void DiffusionSolver::smooth(std::size_t index, bool inner_light, bool from_zero) {
+  RunLevel& level = levels_[index];
+  const auto bound = static_cast<float>(parameters_.spectral_bound);
+  for (int k = 1; k <= parameters_.smoothing_degree; ++k) {
+    const SmoothingStep step{k > 1 ? static_cast<float>(2 * k - 3) / static_cast<float>(2 * k + 1) : 0.0f,
+                             static_cast<float>(8 * k - 4) / static_cast<float>(2 * k + 1) / bound};
+    if (from_zero && k == 1)
+      smooth_from_zero(level, step.take, inner_light);
+    else
+      smooth_level(level, step, inner_light);
+  }
+}
+
+void DiffusionSolver::cycle(std::size_t index, bool inner_light, bool from_zero) {
+  if (index + 1 == levels_.size()) {
+    if (direct_) {
+      solve_coarsest();
+    } else {
+      smooth(index, inner_light, from_zero);
+      for (int sweep = 0; sweep < 20; ++sweep) smooth(index, inner_light, false);
+    }
+    return;
+  }
+  smooth(index, inner_light, from_zero);
+  restrict_residual(levels_[index], levels_[index + 1], inner_light);
+  cycle(index + 1, true, true);
+  prolong_vector(levels_[index], levels_[index + 1].x, levels_[index].x, true);
+  smooth(index, inner_light, false);
+}
+
+void DiffusionSolver::set_light(const DiffusionLight& light) {
+  RunLevel& finest = levels_.front();
+  const std::size_t outer = finest.surface.size(), inner = finest.inner_size();
+  if (light.irradiance.size() != outer) throw InternalError("diffusion: the light does not belong to the grid");
+  inner_light_ = light.source.has_value();
+  std::vector<Double4> source(outer);
+  Double4 size = {};
+  for (std::size_t s = 0; s < outer; ++s) {
+    source[s] = inner_light_ ? to_double(light.source->outer[s])
+                             : to_double(light.irradiance[s]) *
+                                   (2 * terms_.area[s] / (1 + current_reflectance_));  // PHYSICS D2
+    for (int c = 0; c < 3; ++c) size[c] = std::max(size[c], std::abs(source[s][c]));
+    for (int c = 0; c < 3; ++c)
+      if (!std::isfinite(source[s][c])) throw NumericalError("diffusion: the light is not finite");
+  }
+  if (inner_light_)
+    for (int c = 0; c < 3; ++c)
+      for (std::size_t u = 0; u < inner; ++u) {
+        const float value = light.source->inner[c][u];
+        if (!std::isfinite(value)) throw NumericalError("diffusion: the light is not finite");
+        size[c] = std::max<double>(size[c], std::abs(value));
+      }
+  scale_ = size;
+  const Double4 inverse = safe_quotient(Double4{1, 1, 1, 0}, size);
+  for (std::size_t s = 0; s < outer; ++s) lights_[0].outer[s] = to_float(source[s] * inverse);
+  if (inner_light_) {
+    for (std::size_t l = 0; l < levels_.size(); ++l)
+      if (lights_[l].inner.bytes() == 0) lights_[l].inner = ChannelPlanes<float>(levels_[l].inner_size());
+    for (int c = 0; c < 3; ++c)
+      for (std::size_t u = 0; u < inner; ++u)
+        lights_[0].inner[c][u] = static_cast<float>(light.source->inner[c][u] * inverse[c]);
+  }
+}
+
+
+void DiffusionSolver::full_multigrid() {
+  for (std::size_t l = 0; l + 1 < levels_.size(); ++l)
+    if (inner_light_)
+      restrict_vector(levels_[l], lights_[l], levels_[l + 1].layout, lights_[l + 1]);
+    else
+      restrict_outer_vector(levels_[l], lights_[l].outer, lights_[l + 1].outer);
+  for (std::size_t l = levels_.size(); l-- > 0;) {
+    RunLevel& level = levels_[l];
+    const bool coarsest = l + 1 == levels_.size();
+    if (!coarsest) prolong_vector(level, levels_[l + 1].x, level.x, false);
+    load_light(l, coarsest);
+    if (l == 0) first_outer_ = level.x.outer;
+    cycle(l, inner_light_ || coarsest, coarsest);
+  }
+}
+
+// The level's own light as its right-hand side. `whole`: also where there is none inside.
+void DiffusionSolver::load_light(std::size_t index, bool whole) {
+  RunLevel& level = levels_[index];
+  level.right_side.outer = lights_[index].outer;
+  for (int c = 0; c < 3; ++c) {
+    float* to = level.right_side.inner[c];
+    if (inner_light_)
+      std::copy(lights_[index].inner[c], lights_[index].inner[c] + level.inner_size(), to);
+    else if (whole)
+      std::fill(to, to + level.inner_size(), 0.0f);
+  }
+}
+
+// Relative L2 change of the exitance over the surface since `before`, the greatest of the channels.
+double DiffusionSolver::exitance_change(const std::vector<Float4>& before) const {
+  const RunLevel& finest = levels_.front();
+  Double4 change = {}, size = {};
+  const double half_inverse_factor = 1 / (2 * boundary_factor_);
+  // D3 with D2: the irradiance's part, from the light as it stands in the right-hand side.
+  const double reflected = inner_light_ ? 0 : 0.5 * (1 - current_reflectance_);
+  for (std::size_t s = 0; s < before.size(); ++s) {
+    const double area = terms_.area[s];
+    if (!(area > 0)) continue;
+    const Double4 now = to_double(finest.x.outer[s]);
+    const Double4 moved = half_inverse_factor * (now - to_double(before[s]));
+    const Double4 exitance = half_inverse_factor * now - (reflected / area) * to_double(lights_[0].outer[s]);
+    change += area * moved * moved;
+    size += area * exitance * exitance;
+  }
+  double worst = 0;
+  for (int c = 0; c < 3; ++c) {
+    if (!std::isfinite(change[c]) || !std::isfinite(size[c])) return std::nan("");
+    if (change[c] > 0) worst = std::max(worst, size[c] > 0 ? std::sqrt(change[c] / size[c]) : 1.0);
+  }
+  return worst;
+}
+
+SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance, bool warm) {
+  if (!has_material_) throw InternalError("diffusion: solved before a material was set");
+  SolveReport report;
+  report.tolerance = tolerance;
+  report.unknowns = size();
+  report.level_sizes = level_sizes();
+  set_light(light);
+  bool dark = true;
+  for (int c = 0; c < 3; ++c) dark = dark && scale_[c] == 0;
+  if (dark) {
+    for (int c = 0; c < 3; ++c) {
+      float* x = levels_.front().x.inner[c];
+      std::fill(x, x + levels_.front().inner_size(), 0.0f);
+    }
+    std::fill(levels_.front().x.outer.begin(), levels_.front().x.outer.end(), Float4{});
+    solution_is_exact_ = false;
+    shift_ = Double4{};
+    report.error_history = {0};
+    return report;
+  }
+  (void)warm;
+  full_multigrid();
+  report.cycles = 1;
+  double change = exitance_change(first_outer_);
+  // A cycle leaves about a tenth of what it removes; the second tells.
+  report.estimated_error = parameters_.first_error_left * change;
+  report.error_history.push_back(report.estimated_error);
+  solution_is_exact_ = false;
+  while (report.estimated_error > tolerance && tolerance >= parameters_.exact_below &&
+         report.cycles < parameters_.most_cycles && std::isfinite(change)) {
+    first_outer_ = levels_.front().x.outer;
+    cycle(0, inner_light_, false);
+    ++report.cycles;
+    const double last = change;
+    change = exitance_change(first_outer_);
+    const double ratio = std::min(0.9, change / last);
+    report.estimated_error = change * std::max(0.1, ratio / (1 - ratio));
+    report.error_history.push_back(report.estimated_error);
+    if (ratio > 0.5) break;
+  }
+  if (!(report.estimated_error <= tolerance)) solve_by_conjugate_gradients(tolerance, report);
+  conserve_energy();
+  return report;
+}
+
+void DiffusionSolver::apply_cycle(const LevelVector<double>& right_side, LevelVector<double>& x) {
+  RunLevel& finest = levels_.front();
+  const std::size_t inner = finest.inner_size();
+  Double4 size = {};
+  for (int c = 0; c < 3; ++c) {
+    struct Size {
+      double value = 0;
+      Size operator+(const Size& other) const { return {std::max(value, other.value)}; }
+    };
+    const double* r = right_side.inner[c];
+    size[c] = parallel_sum(inner, Size{}, [&](std::size_t i) { return Size{std::abs(r[i])}; }, 4 * grain).value;
+  }
+  for (const Double4& r : right_side.outer)
+    for (int c = 0; c < 3; ++c) size[c] = std::max(size[c], std::abs(r[c]));
+  // Scaled to size one, so that tiny and huge residuals keep single precision's range.
+  const Double4 inverse = safe_quotient(Double4{1, 1, 1, 0}, size);
+  for_entries(finest.right_side, const_cast<LevelVector<double>&>(right_side), inner,
+              [&](float& to, double& from, int c) { to = static_cast<float>(from * inverse[c]); });
+  cycle(0, true, true);
+  for_entries(x, finest.x, inner, [&](double& to, float& from, int c) { to = from * size[c]; });
+}
+
+void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport& report) {
+  RunLevel& finest = levels_.front();
+  const std::size_t inner = finest.inner_size(), outer = finest.surface.size();
+  auto fail = [&](const std::string& what) {
+    throw NumericalError("diffusion: " + what + " after " + std::to_string(report.iterations) +
+                         " iterations; relative residuals" + history_text(report.residual_history));
+  };
+  LevelVector<double> x(inner, outer), r(inner, outer), z(inner, outer), direction(inner, outer), image(inner, outer);
+  bool finite = true;
+  for_entries(x, finest.x, inner, [&](double& to, float& from, int) { to = from; });
+  for (int c = 0; c < 3; ++c) finite = finite && std::isfinite(dot(x, x, inner)[c]);
+  if (!finite) for_entries(x, finest.x, inner, [&](double& to, float& from, int) { to = 0; from = 0; });
+  const LevelVector<float>& light = lights_[0];
+  Double4 light_square = {};
+  const auto true_residual = [&](LevelVector<double>& to) {
+    apply_level(finest, x, to);
+    for (std::size_t s = 0; s < outer; ++s) to.outer[s] = to_double(light.outer[s]) - to.outer[s];
+    for (int c = 0; c < 3; ++c) {
+      double* value = to.inner[c];
+      const float* own = inner_light_ ? light.inner[c] : nullptr;
+      parallel_for(inner, [&](std::size_t i) { value[i] = (own ? own[i] : 0.0f) - value[i]; }, grain);
+    }
+  };
+  for (std::size_t s = 0; s < outer; ++s) light_square += to_double(light.outer[s]) * to_double(light.outer[s]);
+  if (inner_light_)
+    for (int c = 0; c < 3; ++c)
+      for (std::size_t i = 0; i < inner; ++i)
+        light_square[c] += static_cast<double>(light.inner[c][i]) * light.inner[c][i];
+  true_residual(r);
+
+  // The error left is about the next correction, of which D3 sees the surface's part.
+  const double half_inverse_factor = 1 / (2 * boundary_factor_);
+  const double reflected = inner_light_ ? 0 : 0.5 * (1 - current_reflectance_);
+  auto estimate = [&]() {
+    Double4 error = {}, size = {};
+    for (std::size_t s = 0; s < outer; ++s) {
+      const double area = terms_.area[s];
+      if (!(area > 0)) continue;
+      const Double4 exitance =
+          half_inverse_factor * x.outer[s] - (reflected / area) * to_double(light.outer[s]);
+      const Double4 e = 1.5 * half_inverse_factor * z.outer[s];
+      error += area * e * e;
+      size += area * exitance * exitance;
+    }
+    double worst = 0;
+    for (int c = 0; c < 3; ++c)
+      if (error[c] != 0) worst = std::max(worst, size[c] > 0 ? std::sqrt(error[c] / size[c]) : 1.0);
+    return worst;
+  };
+
+  Double4 last_energy = {}, with_last = {};
+  int restarts = 0;
+  bool fresh = true;  // the next direction is the preconditioned residual itself
+  LevelVector<double> last_r(inner, outer);
+  for (;; ++report.iterations) {
+    apply_cycle(r, z);
+    const Double4 energy = dot(r, z, inner), square = dot(r, r, inner);
+    double worst_residual = 0;
+    for (int c = 0; c < 3; ++c) {
+      if (light_square[c] > 0) worst_residual = std::max(worst_residual, std::sqrt(square[c] / light_square[c]));
+      if (!std::isfinite(energy[c]) || !std::isfinite(square[c])) fail("a number that is not finite appeared");
+    }
+    report.residual_history.push_back(worst_residual);
+    report.estimated_error = estimate();
+    report.error_history.push_back(report.estimated_error);
+    if (report.estimated_error <= tolerance) {
+      // The updated residual drifts from the true one; only the true one counts.
+      true_residual(image);
+      const Double4 drift = sum_over(image, r, inner, [](double a, double b) { return (a - b) * (a - b); });
+      bool settled = true;
+      for (int c = 0; c < 3; ++c) settled = settled && drift[c] <= 0.01 * square[c];
+      if (settled) break;
+      if (++restarts > 5) fail("the tolerance " + number_text(tolerance) + " is below rounding");
+      std::swap(r, image);
+      report.residual_history.pop_back();
+      report.error_history.pop_back();
+      fresh = true;
+      --report.iterations;
+      continue;
+    }
+    for (int c = 0; c < 3; ++c)
+      if (energy[c] < 0) fail("the preconditioner is indefinite");
+    if (report.iterations >= parameters_.most_iterations) fail("no convergence to " + number_text(tolerance));
+
+    // Polak and Ribière's form forgives the single precision of the preconditioner.
+    with_last = fresh ? Double4{} : dot(last_r, z, inner);
+    const Double4 factor = fresh ? Double4{} : safe_quotient(energy - with_last, last_energy);
+    for_entries(direction, z, inner, [&](double& d, double& from, int c) { d = from + factor[c] * d; });
+    apply_level(finest, direction, image);
+    const Double4 curvature = dot(direction, image, inner);
+    for (int c = 0; c < 3; ++c)
+      if (curvature[c] < 0 || !std::isfinite(curvature[c])) fail("the system is not positive definite");
+    const Double4 length = safe_quotient(dot(direction, r, inner), curvature);
+    for_entries(last_r, r, inner, [&](double& to, double& from, int) { to = from; });
+    for_entries(x, direction, inner, [&](double& to, double& from, int c) { to += length[c] * from; });
+    for_entries(r, image, inner, [&](double& to, double& from, int c) { to -= length[c] * from; });
+    last_energy = energy;
+    fresh = false;
+  }
+  exact_ = std::move(x);
+  solution_is_exact_ = true;
+}
+
+// The constant whose residual sums to nothing: D4 exactly.
+void DiffusionSolver::conserve_energy() {
+  const RunLevel& finest = levels_.front();
+  const std::size_t inner = finest.inner_size();
+  Double4 light = {}, loss = {}, reaction = {};
+  for (const Float4& value : lights_[0].outer) light += to_double(value);
+  if (inner_light_)
+    for (int c = 0; c < 3; ++c)
+      for (std::size_t i = 0; i < inner; ++i) light[c] += lights_[0].inner[c][i];
+  loss = solution_is_exact_ ? dot(finest.reaction, exact_, inner) : dot(finest.reaction, finest.x, inner);
+  reaction = sum_over(finest.reaction, finest.reaction, inner, [](double a, double) { return a; });
+  shift_ = safe_quotient(light - loss, reaction);
+}
+
+std::vector<Double4> DiffusionSolver::fluence() const {
+  const RunLevel& finest = levels_.front();
+  std::vector<Double4> result(static_cast<std::size_t>(polygrid_.points.rows()), Double4{});
+  const auto value = [&](const auto& x) {
+    parallel_for(
+        finest.inner_size(),
+        [&](std::size_t u) {
+          result[finest.layout.point_of[u]] =
+              scale_ * (Double4{static_cast<double>(x.inner[0][u]), static_cast<double>(x.inner[1][u]),
+                                static_cast<double>(x.inner[2][u]), 0} +
+                        shift_);
+        },
+        grain);
+    for (std::size_t s = 0; s < finest.surface.size(); ++s)
+      for (int c = 0; c < 3; ++c)
+        result[fine_.outer_point[s]][c] = scale_[c] * (static_cast<double>(x.outer[s][c]) + shift_[c]);
+  };
+  if (solution_is_exact_)
+    value(exact_);
+  else
+    value(finest.x);
+  return result;
+}
+
+std::vector<Double4> DiffusionSolver::exitance(const DiffusionLight& light) const {
+  const std::size_t n = levels_.front().surface.size();
+  const double reflected =
+      light.source ? 0 : (1 - current_reflectance_) / (1 + current_reflectance_);
+  std::vector<Double4> result(n, Double4{});
+  for (std::size_t s = 0; s < n; ++s) {
+    if (!(terms_.area[s] > 0)) continue;
+    const Double4 x = solution_is_exact_ ? exact_.outer[s] : to_double(levels_.front().x.outer[s]);
+    result[s] = scale_ * (x + shift_) / (2 * boundary_factor_);  // PHYSICS D3 with D2
+    if (!light.source) result[s] -= reflected * to_double(light.irradiance[s]);
+  }
+  return result;
+}
+
+EnergyBalance DiffusionSolver::energy(const DiffusionLight& light) const {
+  const RunLevel& finest = levels_.front();
+  const std::vector<Double4> exitances = exitance(light);
+  EnergyBalance balance;
+  const std::size_t inner = finest.inner_size();
+  LevelVector<float> unused;
+  for (std::size_t s = 0; s < exitances.size(); ++s) {
+    const Double4 x = solution_is_exact_ ? exact_.outer[s] : to_double(finest.x.outer[s]);
+    if (!light.source) balance.entering += terms_.area[s] * to_double(light.irradiance[s]);
+    balance.leaving += terms_.area[s] * exitances[s];
+    balance.absorbed += to_double(terms_.absorption[s]) * scale_ * (x + shift_);
+  }
+  for (int c = 0; c < 3; ++c) {
+    const float* absorption = finest.reaction.inner[c];
+    const float* single = finest.x.inner[c];
+    const double* exact = solution_is_exact_ ? exact_.inner[c] : nullptr;
+    balance.absorbed[c] += scale_[c] * parallel_sum(
+                                           inner, 0.0,
+                                           [&](std::size_t i) {
+                                             return absorption[i] * ((exact ? exact[i] : single[i]) + shift_[c]);
+                                           },
+                                           4096);
+  }
+  balance.relative_defect = safe_quotient(balance.entering - balance.leaving - balance.absorbed, balance.entering);
+  for (int c = 0; c < 4; ++c) balance.relative_defect[c] = std::abs(balance.relative_defect[c]);
+  return balance;
+}
+
+std::size_t DiffusionSolver::sweep_bytes() const {
+  const RunLevel& l = levels_.front();
+  const std::size_t n = l.inner_size();
+  // Couplings, links, reaction and inverse read; three vectors read, one of them written.
+  return (l.half ? l.half.bytes() : l.single.bytes()) + l.layout.links.size() * sizeof(RunLink) +
+         n * 3 * (sizeof(float) + sizeof(UpperHalf)) + n * 3 * 3 * sizeof(float) + l.surface.size() * 12 * 16;
+}
+
+std::size_t DiffusionSolver::memory_bytes() const {
+  std::size_t bytes = fine_.cell.size() * 4 + fine_.position.bytes();
+  for (const RunLevel& l : levels_) {
+    bytes += l.half.bytes() + l.single.bytes() + l.layout.links.size() * sizeof(RunLink) + l.layout.size() * 8 +
+             l.layout.unknown_of.size() * 4 + l.inverse.bytes() + l.halved.bytes() + l.surface.size() * 12 * 16 +
+             l.cells.size() * 37 + l.cells.boundary.size() * 41 + l.transfer.parts.size() * 12;
+    for (const LevelVector<float>* v : {&l.x, &l.before, &l.right_side, &l.reaction}) bytes += v->inner.bytes();
+  }
+  return bytes;
+}
+
+}  // namespace shellgrid

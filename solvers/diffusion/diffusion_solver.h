@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Diffusion on a polygrid solved by full multigrid, and by conjugate gradients around it where more is asked.
+#pragma once
+#include <Eigen/Cholesky>
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "solvers/diffusion/level_assembly.h"
+#include "solvers/diffusion/polygrid_system.h"
+
+namespace shellgrid {
+
+struct SolverParameters {
+  int smoothing_degree = 2;      // of the polynomial before and after each coarse correction
+  double spectral_bound = 1.6;   // upper end of the spectrum that the polynomial damps
+  std::size_t coarsest_size = 400;  // unknowns that are solved directly
+  double exact_below = 1e-3;     // tolerances below it take couplings in single and iterates in double precision
+  double first_error_left = 0.3;  // share of what the first finest cycle changed that is taken to be left
+  int most_cycles = 4;           // before conjugate gradients take over
+  int most_iterations = 200;
+};
+
+// What the solver did.
+struct SolveReport {
+  int cycles = 0;      // full multigrid counts as one
+  int iterations = 0;  // of conjugate gradients
+  double tolerance = 0;
+  // Estimated relative error of the exitance (L2 over the surface), the largest of the channels, after each cycle or
+  // before each iteration; and the residual's norm over the right-hand side's, where it is known.
+  std::vector<double> error_history, residual_history;
+  double estimated_error = 0;
+  std::size_t unknowns = 0;
+  std::vector<std::size_t> level_sizes;
+};
+
+// What lights the object, at the solver's unknowns.
+struct DiffusionLight {
+  std::vector<Float4> irradiance;    // of each outer unknown, W mm⁻²; q of D2
+  std::optional<LevelVector<float>> source;  // W: ∫ Q h dV, instead of what D2 makes of the irradiance
+};
+
+// The solver of one polygrid: its levels once, its couplings for each material, a solution for each light.
+class DiffusionSolver {
+ public:
+  // Keeps a reference to the polygrid. Throws: InputError where its parts do not fit together, or a cell is inverted.
+  explicit DiffusionSolver(const Polygrid& polygrid, const SolverParameters& parameters = {});
+  DiffusionSolver(const DiffusionSolver&) = delete;
+  DiffusionSolver& operator=(const DiffusionSolver&) = delete;
+
+  // `least_tolerance`: the least that will be asked for. `ior` ≥ 1. Throws: InputError.
+  void set_material(const CellCoefficients& coefficients, double ior, double least_tolerance);
+
+  // Solves D1, D2 until the estimated relative error of the exitance is below the tolerance. `warm`: starts at the last
+  // solution, otherwise by full multigrid. The fluence ends with a constant added that makes D4 exact.
+  // Throws: NumericalError with the history where it does not converge, or meets a number that is not finite.
+  SolveReport solve(const DiffusionLight& light, double tolerance, bool warm = false);
+
+  std::size_t size() const { return levels_.front().size(); }
+  const RunLevel& finest() const { return levels_.front(); }
+  const FineGrid& grid() const { return fine_; }
+  const SurfaceTerms& surface() const { return terms_; }
+  std::vector<std::size_t> level_sizes() const;
+
+  // Of the last solution. Fluence: one a point of the polygrid. Exitance: one an outer unknown.
+  std::vector<Double4> fluence() const;
+  std::vector<Double4> exitance(const DiffusionLight& light) const;
+  EnergyBalance energy(const DiffusionLight& light) const;
+
+  // One V-cycle from zero as an approximate inverse, for measurements: x = B right_side.
+  void apply_cycle(const LevelVector<double>& right_side, LevelVector<double>& x);
+
+  // Bytes that one pass over the finest level's couplings and vectors moves, and all that the solver holds.
+  std::size_t sweep_bytes() const;
+  std::size_t memory_bytes() const;
+
+ private:
+  void prepare_coarsest();
+  void solve_coarsest();
+  void smooth(std::size_t level, bool inner_light, bool from_zero);
+  void cycle(std::size_t level, bool inner_light, bool from_zero);
+  void full_multigrid();
+  void load_light(std::size_t level, bool whole);
+  void set_light(const DiffusionLight& light);
+  double exitance_change(const std::vector<Float4>& before) const;
+  void solve_by_conjugate_gradients(double tolerance, SolveReport& report);
+  void conserve_energy();
+
+  SolverParameters parameters_;
+  const Polygrid& polygrid_;
+  FineGrid fine_;
+  std::vector<RunLevel> levels_;
+  SurfaceTerms terms_;
+  double boundary_factor_ = 1, current_reflectance_ = 0;
+  bool has_material_ = false;
+  std::array<Eigen::LDLT<Eigen::MatrixXd>, 3> coarsest_;
+  bool direct_ = false;
+
+  std::vector<LevelVector<float>> lights_;  // of each level, for full multigrid; inner parts only with inner light
+  std::vector<Float4> first_outer_;           // the outer points before the last cycle
+  bool inner_light_ = false;
+  Double4 scale_ = {};                       // the light's; iterates are in units of it
+  LevelVector<double> exact_;                // the solution in double precision, where that was asked for
+  bool solution_is_exact_ = false;
+  Double4 shift_ = {};
+};
+
+}  // namespace shellgrid

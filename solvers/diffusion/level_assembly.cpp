@@ -1,0 +1,394 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/diffusion/level_assembly.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "solvers/diffusion/element_lanes.h"
+#include "solvers/diffusion/trilinear_cell.h"
+
+namespace shellgrid {
+namespace {
+
+// Calls body(begin, end) for each slab's items: even slabs at once, then odd ones, so that neighbours never meet.
+template <class Body>
+void for_slabs(const std::vector<std::int32_t>& start, const Body& body) {
+  const std::size_t slabs = start.empty() ? 0 : start.size() - 1;
+  for (std::size_t parity = 0; parity < 2; ++parity)
+    parallel_for(
+        (slabs + 1 - parity) / 2,
+        [&](std::size_t k) {
+          const std::size_t slab = 2 * k + parity;
+          if (start[slab] < start[slab + 1]) body(start[slab], start[slab + 1]);
+        },
+        1);
+}
+
+// Couplings of the cells of one level while their parents' add up: 84 planes, 28 of each channel.
+struct CellElements {
+  std::size_t cells = 0;
+  StreamBuffer<float> planes;
+  std::vector<BoundaryElement> boundary;
+
+  CellElements() = default;
+  explicit CellElements(const LevelCells& level)
+      : cells(level.size()), planes(84 * (level.size() + 16)), boundary(level.boundary.size()) {}
+  float* plane(int k) { return planes.data() + static_cast<std::size_t>(k) * (cells + 16); }
+  const float* plane(int k) const { return planes.data() + static_cast<std::size_t>(k) * (cells + 16); }
+};
+
+// Where the extras of irregular cells stand; −1 for a coupling that has its slot.
+std::int32_t extra_of(const RunLayout& layout, std::int32_t a, std::int32_t b) {
+  const auto at = std::lower_bound(layout.extras.begin(), layout.extras.end(), ExtraCoupling{a, b},
+                                   [](const ExtraCoupling& x, const ExtraCoupling& y) {
+                                     return x.first != y.first ? x.first < y.first : x.second < y.second;
+                                   });
+  if (at == layout.extras.end() || at->first != a || at->second != b) return -1;
+  return static_cast<std::int32_t>(at - layout.extras.begin());
+}
+
+// Adds one coupling of a cell's corners a < b.
+template <class Value>
+void add_coupling(RunLevel& level, std::size_t cell, int a, int b, const Value& value) {
+  const std::int32_t* corners = level.cells.corners.data() + 8 * cell;
+  if (level.layout.irregular[cell]) {
+    const std::int32_t extra = extra_of(level.layout, corners[a], corners[b]);
+    if (extra >= 0) {
+      for (int c = 0; c < 3; ++c) level.extra[extra][c] += value[c];
+      return;
+    }
+  }
+  const LatticeRun& run = level.layout.runs[level.layout.run_of[corners[a]]];
+  float* at = level.single.values.data() + static_cast<std::int64_t>(coupling_slots) * 3 * run.start +
+              (corners[a] - run.start) + static_cast<std::int64_t>(3 * slot_of_pair(a, b)) * run.length;
+  for (int c = 0; c < 3; ++c) at[c * run.length] += value[c];
+}
+
+// Lanes of one batch, `count` of them, at 16 consecutive cells of the parents or one by one.
+void add_to_parents(const ElementLanes& parents, const std::int32_t* parent, int count, CellElements& coarse) {
+  for (int k = 0; k < 84; ++k) {
+    float* plane = coarse.plane(k);
+    const Float16Lanes& value = parents.coupling[k / 28][k % 28];
+    for (int i = 0; i < count; ++i) plane[parent[i]] += value[i];
+  }
+}
+
+// The same where the parents follow each other: lanes 2 i − odd and 2 i + 1 − odd have parent first + i.
+void add_to_line_of_parents(const ElementLanes& parents, std::int32_t first, int odd, int count,
+                            CellElements& coarse) {
+  using Eight = float __attribute__((vector_size(32)));
+  const int touched = (count + odd + 1) / 2;
+  for (int k = 0; k < 84; ++k) {
+    float padded[18] = {};
+    Float16Lanes value = parents.coupling[k / 28][k % 28];
+    if (count < 16)
+      for (int i = count; i < 16; ++i) value[i] = 0;
+    store_lanes(padded + odd, value);
+    float* to = coarse.plane(k) + first;
+    if (touched >= 8) {
+      const Float16Lanes both = load_lanes<Float16Lanes>(padded);
+      const Eight even = __builtin_shufflevector(both, both, 0, 2, 4, 6, 8, 10, 12, 14);
+      const Eight uneven = __builtin_shufflevector(both, both, 1, 3, 5, 7, 9, 11, 13, 15);
+      store_lanes(to, load_lanes<Eight>(to) + (even + uneven));
+      if (touched > 8) to[8] += padded[16];
+    } else {
+      for (int i = 0; i < touched; ++i) to[i] += padded[2 * i] + padded[2 * i + 1];
+    }
+  }
+}
+
+// Sixteen fine core cells' geometry and material.
+void load_cells(const FineGrid& fine, const CellCoefficients& coefficients, const std::int32_t (&corner)[8],
+                const float* const (&plane)[3], std::int32_t first_cell, int count, CellLanes& lanes) {
+  for (int a = 0; a < 8; ++a)
+    for (int axis = 0; axis < 3; ++axis) lanes.corner[a][axis] = load_lanes<Float16Lanes>(plane[axis] + corner[a]);
+  constexpr int vtk_of_corner[8] = {0, 1, 3, 2, 4, 5, 7, 6};
+  for (int i = 0; i < 16; ++i) {
+    const std::size_t cell = static_cast<std::size_t>(fine.cell[first_cell + std::min(i, count - 1)]);
+    for (int q = 0; q < 8; ++q) {
+      const Rgb& absorption = coefficients.absorption[8 * cell + vtk_of_corner[q]];
+      const Rgb& extinction = coefficients.reduced_extinction[8 * cell + vtk_of_corner[q]];
+      for (int c = 0; c < 3; ++c) {
+        reinterpret_cast<float*>(&lanes.absorption[c][q])[i] = absorption[c];
+        reinterpret_cast<float*>(&lanes.diffusion[c][q])[i] = extinction[c];
+      }
+    }
+  }
+  for (int c = 0; c < 3; ++c)
+    for (int q = 0; q < 8; ++q) lanes.diffusion[c][q] = 1.0f / (3.0f * lanes.diffusion[c][q]);
+}
+
+void add_line(float* to, const Float16Lanes& value, int count) {
+  if (count == 16) {
+    store_lanes(to, load_lanes<Float16Lanes>(to) + value);
+    return;
+  }
+  for (int i = 0; i < count; ++i) to[i] += value[i];
+}
+
+void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fine, RunLevel& level,
+                        CellElements* coarse) {
+  const RunLayout& layout = level.layout;
+  const float* const plane[3] = {fine.position[0], fine.position[1], fine.position[2]};
+  for_slabs(fine.slab_start, [&](std::int32_t first_run, std::int32_t last_run) {
+    CellLanes lanes;
+    ElementLanes element, parent;
+    for (std::int32_t r = first_run; r < last_run; ++r) {
+      const FineCellRun& run = fine.runs[r];
+      for (std::int32_t at = 0; at < run.length; at += 16) {
+        const int count = std::min(16, run.length - at);
+        const std::int32_t first_cell = run.first + at;
+        std::int32_t corner[8];
+        for (int k = 0; k < 8; ++k)
+          corner[k] = run.regular ? run.unknown[k / 2] + at + (k & 1) : level.cells.corners[8 * first_cell + k];
+        load_cells(fine, coefficients, corner, plane, first_cell, count, lanes);
+        core_elements(lanes, element);
+        for (int a = 0; a < 8; ++a)
+          for (int c = 0; c < 3; ++c) add_line(level.reaction.inner[c] + corner[a], element.absorption[c][a], count);
+        if (run.regular) {
+          for (int a = 0; a < 8; ++a) {
+            const LatticeRun& points = layout.runs[layout.run_of[corner[a]]];
+            float* base = level.single.values.data() + static_cast<std::int64_t>(coupling_slots) * 3 * points.start +
+                          (corner[a] - points.start);
+            for (int b = a + 1; b < 8; ++b)
+              for (int c = 0; c < 3; ++c)
+                add_line(base + static_cast<std::int64_t>(3 * slot_of_pair(a, b) + c) * points.length,
+                         element.coupling[c][pair_number(a, b)], count);
+          }
+        } else {
+          for (int a = 0; a < 8; ++a)
+            for (int b = a + 1; b < 8; ++b) {
+              const int k = pair_number(a, b);
+              const Float4 value = {element.coupling[0][k][0], element.coupling[1][k][0], element.coupling[2][k][0], 0};
+              add_coupling(level, first_cell, a, b, value);
+            }
+        }
+        if (!coarse) continue;
+        coarsen_elements(element, level.cells.octant.data() + first_cell, count, parent);
+        if (run.regular)
+          add_to_line_of_parents(parent, level.cells.parent[first_cell], (run.x + at) & 1, count, *coarse);
+        else
+          add_to_parents(parent, level.cells.parent.data() + first_cell, count, *coarse);
+      }
+    }
+  });
+}
+
+void assemble_coarse_core(const CellElements& elements, RunLevel& level, CellElements* coarse) {
+  for_slabs(level.cells.slab_start, [&](std::int32_t first, std::int32_t last) {
+    ElementLanes element, parent;
+    for (std::int32_t cell = first; cell < last; cell += 16) {
+      const int count = std::min(16, last - cell);
+      for (int k = 0; k < 84; ++k)
+        element.coupling[k / 28][k % 28] = load_lanes<Float16Lanes>(elements.plane(k) + cell);
+      for (int i = 0; i < count; ++i)
+        for (int a = 0; a < 8; ++a)
+          for (int b = a + 1; b < 8; ++b) {
+            const int k = pair_number(a, b);
+            const Float4 value = {element.coupling[0][k][i], element.coupling[1][k][i], element.coupling[2][k][i], 0};
+            add_coupling(level, cell + i, a, b, value);
+          }
+      if (!coarse) continue;
+      coarsen_elements(element, level.cells.octant.data() + cell, count, parent);
+      add_to_parents(parent, level.cells.parent.data() + cell, count, *coarse);
+    }
+  });
+}
+
+// Adds a boundary element to the level's rows.
+void add_boundary_element(const BoundaryElement& element, std::size_t place, RunLevel& level) {
+  const std::int32_t cell = level.cells.boundary[place];
+  const std::int32_t* outer = level.cells.outer.data() + 8 * place;
+  const int mask = level.cells.outer_mask[place];
+  for (int a = 0; a < 8; ++a) {
+    if (!(mask >> a & 1)) continue;
+    for (int b = a + 1; b < 8; ++b)
+      if (mask >> b & 1) add_coupling(level, cell, a, b, element.coupling(a, b));
+    const std::int32_t s = outer[a];
+    level.link[s] += element.coupling(a, a + 8);
+    for (int b = 0; b < 8; ++b) {
+      if (b == a || !(mask >> b & 1)) continue;
+      const auto first = level.surface.neighbour.begin() + level.surface.start[s];
+      const auto last = level.surface.neighbour.begin() + level.surface.start[s + 1];
+      const auto at = std::lower_bound(first, last, outer[b]) - level.surface.neighbour.begin();
+      SurfaceCoupling<float>& pair = level.single.surface[at];
+      const Float4 outer_outer = element.coupling(a + 8, b + 8), twin_outer = element.coupling(a, b + 8),
+                   outer_twin = element.coupling(a + 8, b);
+      for (int c = 0; c < 3; ++c) {
+        pair.outer_outer[c] += outer_outer[c];
+        pair.twin_outer[c] += twin_outer[c];
+        pair.outer_twin[c] += outer_twin[c];
+      }
+    }
+  }
+}
+
+void assemble_layer(const Polygrid& polygrid, const CellCoefficients& coefficients, const FineGrid& fine,
+                    RunLevel& level, SurfaceTerms& terms, std::vector<BoundaryElement>& elements) {
+  std::vector<std::int32_t> first(level.cells.boundary.size() + 1, 0);
+  for (std::int32_t place : fine.layer_boundary) ++first[place + 1];
+  for (std::size_t k = 1; k < first.size(); ++k) first[k] += first[k - 1];
+  elements.resize(level.cells.boundary.size());
+  std::vector<std::array<Float4, 16>> absorption(elements.size());
+  parallel_for(
+      elements.size(),
+      [&](std::size_t place) {
+        elements[place] = BoundaryElement{};
+        absorption[place] = {};
+        for (std::int32_t k = first[place]; k < first[place + 1]; ++k)
+          add_layer_cell(cell_corners(polygrid, fine.layer_cell[k]),
+                         coefficients.absorption.data() + 8 * static_cast<std::size_t>(fine.layer_cell[k]),
+                         coefficients.reduced_extinction.data() + 8 * static_cast<std::size_t>(fine.layer_cell[k]),
+                         fine.layer_node[k], elements[place], absorption[place]);
+      },
+      64);
+  for (std::size_t place = 0; place < elements.size(); ++place) {
+    const std::int32_t* corners = level.cells.corners.data() + 8 * level.cells.boundary[place];
+    for (int a = 0; a < 8; ++a) {
+      if (!(level.cells.outer_mask[place] >> a & 1)) continue;
+      for (int c = 0; c < 3; ++c) level.reaction.inner[c][corners[a]] += absorption[place][a][c];
+      terms.absorption[level.cells.outer[8 * place + a]] += absorption[place][a + 8];
+    }
+  }
+}
+
+void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level,
+                  std::vector<BoundaryElement>* coarse) {
+  for_slabs(level.cells.boundary_slab_start, [&](std::int32_t begin, std::int32_t end) {
+    for (std::int32_t place = begin; place < end; ++place) {
+      add_boundary_element(elements[place], place, level);
+      if (coarse)
+        add_coarse_boundary(elements[place], level.cells.octant[level.cells.boundary[place]],
+                            (*coarse)[level.cells.boundary_parent[place]]);
+    }
+  });
+}
+
+void add_areas(const Polygrid& polygrid, const FineGrid& fine, SurfaceTerms& terms) {
+  std::vector<std::int32_t> outer_of(polygrid.points.rows(), -1);
+  for (std::size_t s = 0; s < fine.outer_point.size(); ++s)
+    outer_of[fine.outer_point[s]] = static_cast<std::int32_t>(s);
+  const double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+  for (Eigen::Index quad = 0; quad < polygrid.boundary_quads.rows(); ++quad) {
+    Vec3 x[4];
+    for (int a = 0; a < 4; ++a) x[a] = polygrid.points.row(polygrid.boundary_quads(quad, a)).transpose();
+    for (double s : gauss)
+      for (double t : gauss) {
+        const Vec3 along_s = (1 - t) * (x[1] - x[0]) + t * (x[2] - x[3]);
+        const Vec3 along_t = (1 - s) * (x[3] - x[0]) + s * (x[2] - x[1]);
+        const double area = 0.25 * along_s.cross(along_t).norm();
+        const double value[4] = {(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t};
+        for (int a = 0; a < 4; ++a) {
+          const std::int32_t outer = outer_of[polygrid.boundary_quads(quad, a)];
+          if (outer < 0) throw InputError("polygrid: a boundary quad's point is no outer point");
+          terms.area[outer] += area * value[a];
+        }
+        terms.total_area += area;
+      }
+  }
+}
+
+struct Greatest {
+  float value = 0;
+  Greatest operator+(const Greatest& other) const { return {std::max(value, other.value)}; }
+};
+
+void halve_numbers(const float* from, float scale, std::size_t begin, std::size_t end, Half* to) {
+  std::size_t i = begin;
+#if defined(__AVX512F__)
+  for (; i + 16 <= end; i += 16)
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(to + i),
+                        _mm512_maskz_cvtps_ph(
+                            0xffff, _mm512_mul_ps(_mm512_loadu_ps(from + i), _mm512_set1_ps(scale)),
+                            _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC));
+#elif defined(__F16C__)
+  for (; i + 8 <= end; i += 8)
+    _mm_storeu_si128(reinterpret_cast<__m128i*>(to + i),
+                     _mm256_cvtps_ph(_mm256_mul_ps(_mm256_loadu_ps(from + i), _mm256_set1_ps(scale)),
+                                     _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC));
+#endif
+  for (; i < end; ++i) to[i] = to_half(scale * from[i]);
+}
+
+// The half-precision copy, scaled so that its greatest coupling is far from overflow.
+void store_half(RunLevel& level) {
+  const std::size_t n = level.single.values.size();
+  const float* from = level.single.values.data();
+  float greatest = parallel_sum(
+      n, Greatest{}, [&](std::size_t i) { return Greatest{std::abs(from[i])}; }, 1 << 16).value;
+  float surface_greatest = 0;
+  for (const auto& pair : level.single.surface)
+    for (int c = 0; c < 3; ++c)
+      surface_greatest = std::max({surface_greatest, std::abs(pair.outer_outer[c]), std::abs(pair.twin_outer[c]),
+                                   std::abs(pair.outer_twin[c])});
+  const auto scale_of = [](float size) {
+    return size > 0 && std::isfinite(size) ? std::exp2(14 - std::ilogb(size)) : 1.0;
+  };
+  const auto scale = static_cast<float>(scale_of(greatest));
+  level.half.values = StreamBuffer<Half>(n);
+  Half* to = level.half.values.data();
+  parallel_chunks(n, 1 << 16, [&](std::size_t begin, std::size_t end) { halve_numbers(from, scale, begin, end, to); });
+  level.half.factor = Float4{1, 1, 1, 1} / scale;
+  const auto surface_scale = static_cast<float>(scale_of(surface_greatest));
+  level.half.surface.resize(level.single.surface.size());
+  for (std::size_t k = 0; k < level.half.surface.size(); ++k)
+    for (int c = 0; c < 4; ++c) {
+      level.half.surface[k].outer_outer[c] = to_half(surface_scale * level.single.surface[k].outer_outer[c]);
+      level.half.surface[k].twin_outer[c] = to_half(surface_scale * level.single.surface[k].twin_outer[c]);
+      level.half.surface[k].outer_twin[c] = to_half(surface_scale * level.single.surface[k].outer_twin[c]);
+    }
+  level.half.surface_factor = Float4{1, 1, 1, 1} / surface_scale;
+}
+
+}  // namespace
+
+SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& coefficients,
+                             const AssemblyOptions& options, const FineGrid& fine, std::vector<RunLevel>& levels) {
+  const auto cells = static_cast<std::size_t>(polygrid.cells.rows());
+  if (coefficients.absorption.size() != 8 * cells || coefficients.reduced_extinction.size() != 8 * cells)
+    throw InputError("polygrid: the coefficients do not belong to its cells");
+  SurfaceTerms terms;
+  terms.absorption.assign(levels.front().surface.size(), Float4{});
+  terms.area.assign(levels.front().surface.size(), 0.0);
+  add_areas(polygrid, fine, terms);
+  CellElements elements;
+  std::vector<BoundaryElement> boundary;
+  for (std::size_t l = 0; l < levels.size(); ++l) {
+    RunLevel& level = levels[l];
+    level.half = {};
+    level.single = {};
+    level.single.values = StreamBuffer<float>(static_cast<std::size_t>(coupling_slots) * 3 * level.inner_size());
+    level.single.surface.assign(level.surface.neighbour.size(), {});
+    level.link.assign(level.surface.size(), Float4{});
+    level.extra.assign(level.layout.extras.size(), Float4{});
+    CellElements coarse_elements;
+    const bool has_coarse = l + 1 < levels.size();
+    if (has_coarse) coarse_elements = CellElements(levels[l + 1].cells);
+    CellElements* coarse = has_coarse ? &coarse_elements : nullptr;
+    if (l == 0) {
+      for (int c = 0; c < 3; ++c)
+        std::fill(level.reaction.inner[c], level.reaction.inner[c] + level.inner_size(), 0.0f);
+      assemble_fine_core(coefficients, fine, level, coarse);
+      assemble_layer(polygrid, coefficients, fine, level, terms, boundary);
+      for (std::size_t s = 0; s < terms.area.size(); ++s)
+        level.reaction.outer[s] =
+            terms.absorption[s] +
+            static_cast<float>(terms.area[s] / (2 * options.boundary_factor)) * Float4{1, 1, 1, 0};  // PHYSICS D2
+    } else {
+      assemble_coarse_core(elements, level, coarse);
+    }
+    add_boundary(boundary, level, has_coarse ? &coarse_elements.boundary : nullptr);
+    elements = std::move(coarse_elements);
+    boundary = std::move(elements.boundary);
+    store_half(level);
+    if (has_coarse) restrict_vector(level, level.reaction, levels[l + 1].layout, levels[l + 1].reaction);
+    prepare_smoother(level);
+    if (!(l == 0 && options.keep_single)) level.single = {};
+  }
+  return terms;
+}
+
+}  // namespace shellgrid

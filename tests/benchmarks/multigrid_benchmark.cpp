@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// The diffusion solver on a polygrid file (or a ball of n³ cells): seconds and processor seconds of each step, and the
+// exitance's error against the converged solution, beside the memory's speed in the same run.
+//   multigrid_benchmark polygrid.hdf | n
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <ctime>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "meshing/formats/vtkhdf_file.h"
+#include "solvers/diffusion/diffusion_solver.h"
+#include "tests/support/polygrid_shapes.h"
+
+using namespace shellgrid;
+
+namespace {
+
+double wall_seconds() {
+  timespec t;
+  clock_gettime(CLOCK_MONOTONIC, &t);
+  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
+}
+double processor_seconds() {
+  timespec t;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
+}
+
+template <class Work>
+void report_time(const char* what, int repetitions, const Work& work) {
+  double wall = 1e30, processor = 1e30;
+  for (int k = 0; k < repetitions; ++k) {
+    const double w = wall_seconds(), p = processor_seconds();
+    work();
+    wall = std::min(wall, wall_seconds() - w);
+    processor = std::min(processor, processor_seconds() - p);
+  }
+  std::printf("%-40s %8.4f s wall, %8.4f s processor\n", what, wall, processor);
+  std::fflush(stdout);
+}
+
+CellCoefficients veined_marble(const Polygrid& grid) {
+  const auto cells = static_cast<std::size_t>(grid.cells.rows());
+  CellCoefficients c;
+  c.absorption.resize(8 * cells);
+  c.reduced_extinction.resize(8 * cells);
+  const double size = (grid.points.colwise().maxCoeff() - grid.points.colwise().minCoeff()).maxCoeff();
+  for (std::size_t cell = 0; cell < cells; ++cell)
+    for (int q = 0; q < 8; ++q) {
+      const Vec3 x = gauss_point(grid, static_cast<int>(cell), q) * (12 / size);
+      const double wave = std::sin(x.x() + 1.7 * std::sin(x.y()) + x.z()) * std::sin(1.3 * x.y() - 0.7 * x.z());
+      const auto vein = static_cast<float>(std::exp(-20 * wave * wave));
+      const Rgb scattering = Rgb(2.19f, 2.62f, 3.0f) * (1 + vein * Rgb(3.0f, 2.0f, 1.0f));
+      const Rgb absorption = Rgb(0.0021f, 0.0041f, 0.0071f) * (1 + 20 * vein);
+      c.absorption[8 * cell + q] = absorption;
+      c.reduced_extinction[8 * cell + q] = absorption + scattering;
+    }
+  return c;
+}
+
+double exitance_error(const std::vector<double>& area, const std::vector<Double4>& a, const std::vector<Double4>& b) {
+  double worst = 0;
+  for (int c = 0; c < 3; ++c) {
+    double error = 0, size = 0;
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      error += area[i] * (a[i][c] - b[i][c]) * (a[i][c] - b[i][c]);
+      size += area[i] * b[i][c] * b[i][c];
+    }
+    worst = std::max(worst, std::sqrt(error / size));
+  }
+  return worst;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc < 2) return 2;
+  const std::string name = argv[1];
+  Polygrid grid;
+  if (name.size() > 4)
+    grid = read_polygrid(name);
+  else
+    grid = test::ball_grid(std::atoi(name.c_str()), 40, 0.1);
+  const CellCoefficients coefficients = veined_marble(grid);
+  std::unique_ptr<DiffusionSolver> solver;
+  report_time("levels, once a polygrid", 1, [&] { solver = std::make_unique<DiffusionSolver>(grid); });
+  std::printf("levels:");
+  for (std::size_t s : solver->level_sizes()) std::printf(" %zu", s);
+  std::printf("\n");
+  report_time("set-up of the exact form", 1, [&] { solver->set_material(coefficients, 1.5, 1e-9); });
+  DiffusionLight light;
+  const auto lit = [&](const Vec3& direction) {
+    light.irradiance.clear();
+    for (std::int32_t p : solver->grid().outer_point) {
+      const auto cosine = static_cast<float>(std::max(0.0, grid.point_normal.row(p).dot(direction.transpose())));
+      light.irradiance.push_back(Float4{cosine, cosine, cosine, 0});
+    }
+  };
+  lit(Vec3(0.5, 0.7, 0.4).normalized());
+  SolveReport report = solver->solve(light, 1e-9);
+  const std::vector<Double4> exact = solver->exitance(light);
+  std::printf("to 1e-9: %d iterations; residuals:", report.iterations);
+  for (double x : report.residual_history) std::printf(" %.1e", x);
+  std::printf("\nexitance errors:");
+  for (double x : report.error_history) std::printf(" %.1e", x);
+  std::printf("\n");
+  report_time("set-up after a change of material", 2, [&] { solver->set_material(coefficients, 1.5, 0.005); });
+  for (double tolerance : {0.05, 0.005, 1e-3}) {
+    report_time(("solve to " + std::to_string(tolerance)).c_str(), 5, [&] { report = solver->solve(light, tolerance); });
+    std::printf("   %d cycles, %d iterations, estimated %.2e, true %.2e; energy defect %.1e\n", report.cycles,
+                report.iterations, report.estimated_error,
+                exitance_error(solver->surface().area, solver->exitance(light), exact),
+                solver->energy(light).relative_defect[1]);
+  }
+  std::printf("sweep %.1f MB = %.1f bytes an unknown; memory %.0f bytes an unknown\n", 1e-6 * solver->sweep_bytes(),
+              static_cast<double>(solver->sweep_bytes()) / solver->size(),
+              static_cast<double>(solver->memory_bytes()) / solver->size());
+}
