@@ -50,6 +50,7 @@ void record(const DiffusionResult& r, nlohmann::json& results) {
                         {"leaving_unscattered", channels(r.beams->leaving)}};
   results["unknowns"] = r.solve.unknowns;
   results["multigrid_levels"] = r.solve.level_sizes;
+  results["cycles"] = r.solve.cycles;
   results["iterations"] = r.solve.iterations;
   results["tolerance"] = r.solve.tolerance;
   results["estimated_exitance_error"] = r.solve.estimated_error;
@@ -135,7 +136,8 @@ int main(int argc, char** argv) {
     run.note_output(exitance_path);
     write_vtkhdf(run.output(), fluence_grid(polygrid, result.fluence));
     record(result, run.results());
-    run.print(fmt::format("{}: {} unknowns × RGB, {} iterations, energy defect {:.1e}", run.output(),
-                          result.solve.unknowns, result.solve.iterations, result.energy.relative_defect[1]));
+    run.print(fmt::format("{}: {} unknowns × RGB, {} cycles, {} iterations, energy defect {:.1e}", run.output(),
+                          result.solve.unknowns, result.solve.cycles, result.solve.iterations,
+                          result.energy.relative_defect[1]));
   });
 }

@@ -287,8 +287,8 @@ void find_cell_runs(const RunLevel& level, const LevelCells& cells, const std::v
       ++fine.runs.back().length;
       continue;
     }
-    fine.runs.push_back({static_cast<std::int32_t>(c), 1, {corner[0], corner[2], corner[4], corner[6]}, lattice[c].x(),
-                         straight});
+    fine.runs.push_back(
+        {static_cast<std::int32_t>(c), 1, {corner[0], corner[2], corner[4], corner[6]}, lattice[c].x(), straight});
     slab_of_run.push_back(lattice[c].z());
   }
   fine.slab_start = slabs(fine.runs.size(), [&](std::size_t r) { return slab_of_run[r]; });

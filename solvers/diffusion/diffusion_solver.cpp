@@ -32,22 +32,21 @@ std::string history_text(const std::vector<double>& history) {
 
 template <class A, class B, class Term>
 Double4 sum_over(const LevelVector<A>& a, const LevelVector<B>& b, std::size_t inner, const Term& term) {
-  Double4 total = parallel_sum(
-      (inner + grain - 1) / grain, Double4{},
-      [&](std::size_t k) {
-        Double4 sum = {};
-        const std::size_t end = std::min(inner, (k + 1) * grain);
-        for (int c = 0; c < 3; ++c) {
-          double part[8] = {};
-          const A* x = a.inner[c];
-          const B* y = b.inner[c];
-          for (std::size_t i = k * grain; i < end; ++i)
-            part[i % 8] += term(static_cast<double>(x[i]), static_cast<double>(y[i]));
-          for (double p : part) sum[c] += p;
-        }
-        return sum;
-      },
-      1);
+  Double4 total = parallel_sum((inner + grain - 1) / grain, Double4{},
+                               [&](std::size_t k) {
+                                 Double4 sum = {};
+                                 const std::size_t end = std::min(inner, (k + 1) * grain);
+                                 for (int c = 0; c < 3; ++c) {
+                                   double part[8] = {};
+                                   const A* x = a.inner[c];
+                                   const B* y = b.inner[c];
+                                   for (std::size_t i = k * grain; i < end; ++i)
+                                     part[i % 8] += term(static_cast<double>(x[i]), static_cast<double>(y[i]));
+                                   for (double p : part) sum[c] += p;
+                                 }
+                                 return sum;
+                               },
+                               1);
   for (std::size_t s = 0; s < a.outer.size(); ++s)
     for (int c = 0; c < 3; ++c) total[c] += term(a.outer[s][c], b.outer[s][c]);
   return total;
@@ -124,8 +123,7 @@ void DiffusionSolver::prepare_coarsest() {
     apply_level(level, unit, column);
     set(0);
     for (int c = 0; c < 3; ++c)
-      for (std::size_t i = 0; i < n; ++i)
-        dense[c](i, j) = i < inner ? column.inner[c][i] : column.outer[i - inner][c];
+      for (std::size_t i = 0; i < n; ++i) dense[c](i, j) = i < inner ? column.inner[c][i] : column.outer[i - inner][c];
   }
   parallel_for(
       3,
@@ -137,6 +135,9 @@ void DiffusionSolver::prepare_coarsest() {
         coarsest_[c].compute(symmetric);
       },
       1);
+  for (const auto& factors : coarsest_)
+    if (factors.info() != Eigen::Success || !factors.vectorD().allFinite() || !(factors.vectorD().minCoeff() > 0))
+      throw NumericalError("diffusion: the system is not positive definite");
 }
 
 void DiffusionSolver::solve_coarsest() {
@@ -192,9 +193,9 @@ void DiffusionSolver::set_light(const DiffusionLight& light) {
   std::vector<Double4> source(outer);
   Double4 size = {};
   for (std::size_t s = 0; s < outer; ++s) {
-    source[s] = inner_light_ ? to_double(light.source->outer[s])
-                             : to_double(light.irradiance[s]) *
-                                   (2 * terms_.area[s] / (1 + current_reflectance_));  // PHYSICS D2
+    source[s] = inner_light_
+                    ? to_double(light.source->outer[s])
+                    : to_double(light.irradiance[s]) * (2 * terms_.area[s] / (1 + current_reflectance_));  // PHYSICS D2
     for (int c = 0; c < 3; ++c) size[c] = std::max(size[c], std::abs(source[s][c]));
     for (int c = 0; c < 3; ++c)
       if (!std::isfinite(source[s][c])) throw NumericalError("diffusion: the light is not finite");
@@ -218,8 +219,8 @@ void DiffusionSolver::set_light(const DiffusionLight& light) {
   }
 }
 
-
 void DiffusionSolver::full_multigrid() {
+  error_left_ = 0.2;
   for (std::size_t l = 0; l + 1 < levels_.size(); ++l)
     if (inner_light_)
       restrict_vector(levels_[l], lights_[l], levels_[l + 1].layout, lights_[l + 1]);
@@ -231,8 +232,31 @@ void DiffusionSolver::full_multigrid() {
     if (!coarsest) prolong_vector(level, levels_[l + 1].x, level.x, false);
     load_light(l, coarsest);
     if (l == 0) first_outer_ = level.x.outer;
+    const bool judged = l == 1;
+    std::vector<Float4> start;
+    if (judged) start = level.x.outer;
     cycle(l, inner_light_ || coarsest, coarsest);
+    if (!judged || coarsest) continue;
+    // A second cycle, at little cost, tells what share of the error a cycle leaves.
+    const std::vector<Float4> once = level.x.outer;
+    load_light(l, false);
+    cycle(l, inner_light_, false);
+    error_left_ = share_left(start, once, level.x.outer);
   }
+}
+
+// The share of the error that a cycle leaves, from what the first and the second changed at the outer points.
+double DiffusionSolver::share_left(const std::vector<Float4>& start, const std::vector<Float4>& once,
+                                   const std::vector<Float4>& twice) {
+  Float4 first = {}, second = {};
+  for (std::size_t s = 0; s < start.size(); ++s) {
+    first += (once[s] - start[s]) * (once[s] - start[s]);
+    second += (twice[s] - once[s]) * (twice[s] - once[s]);
+  }
+  double worst = 0;
+  for (int c = 0; c < 3; ++c)
+    if (first[c] > 0) worst = std::max(worst, std::sqrt(static_cast<double>(second[c] / first[c])));
+  return worst;
 }
 
 // The level's own light as its right-hand side. `whole`: also where there is none inside.
@@ -296,8 +320,9 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   full_multigrid();
   report.cycles = 1;
   double change = exitance_change(first_outer_);
-  // A cycle leaves about a tenth of what it removes; the second tells.
-  report.estimated_error = parameters_.first_error_left * change;
+  const auto left_of = [](double ratio) { return ratio < 0.9 ? std::max(0.1, ratio / (1 - ratio)) : 10.0; };
+  report.estimated_error = left_of(std::min(0.9, 1.5 * error_left_)) * change;
+  if (levels_.size() == 1) report.estimated_error = 1e-6;  // solved directly, in single precision
   report.error_history.push_back(report.estimated_error);
   solution_is_exact_ = false;
   while (report.estimated_error > tolerance && tolerance >= parameters_.exact_below &&
@@ -307,13 +332,13 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
     ++report.cycles;
     const double last = change;
     change = exitance_change(first_outer_);
-    const double ratio = std::min(0.9, change / last);
-    report.estimated_error = change * std::max(0.1, ratio / (1 - ratio));
+    const double ratio = change / last;
+    report.estimated_error = change * left_of(ratio);
     report.error_history.push_back(report.estimated_error);
     if (ratio > 0.5) break;
   }
   if (!(report.estimated_error <= tolerance)) solve_by_conjugate_gradients(tolerance, report);
-  conserve_energy();
+  conserve_energy(light);
   return report;
 }
 
@@ -327,7 +352,9 @@ void DiffusionSolver::apply_cycle(const LevelVector<double>& right_side, LevelVe
       Size operator+(const Size& other) const { return {std::max(value, other.value)}; }
     };
     const double* r = right_side.inner[c];
-    size[c] = parallel_sum(inner, Size{}, [&](std::size_t i) { return Size{std::abs(r[i])}; }, 4 * grain).value;
+    size[c] = parallel_sum(
+                  inner, Size{}, [&](std::size_t i) { return Size{std::abs(r[i])}; }, 4 * grain)
+                  .value;
   }
   for (const Double4& r : right_side.outer)
     for (int c = 0; c < 3; ++c) size[c] = std::max(size[c], std::abs(r[c]));
@@ -350,7 +377,11 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
   bool finite = true;
   for_entries(x, finest.x, inner, [&](double& to, float& from, int) { to = from; });
   for (int c = 0; c < 3; ++c) finite = finite && std::isfinite(dot(x, x, inner)[c]);
-  if (!finite) for_entries(x, finest.x, inner, [&](double& to, float& from, int) { to = 0; from = 0; });
+  if (!finite)
+    for_entries(x, finest.x, inner, [&](double& to, float& from, int) {
+      to = 0;
+      from = 0;
+    });
   const LevelVector<float>& light = lights_[0];
   Double4 light_square = {};
   const auto true_residual = [&](LevelVector<double>& to) {
@@ -359,7 +390,8 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
     for (int c = 0; c < 3; ++c) {
       double* value = to.inner[c];
       const float* own = inner_light_ ? light.inner[c] : nullptr;
-      parallel_for(inner, [&](std::size_t i) { value[i] = (own ? own[i] : 0.0f) - value[i]; }, grain);
+      parallel_for(
+          inner, [&](std::size_t i) { value[i] = (own ? own[i] : 0.0f) - value[i]; }, grain);
     }
   };
   for (std::size_t s = 0; s < outer; ++s) light_square += to_double(light.outer[s]) * to_double(light.outer[s]);
@@ -377,8 +409,7 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
     for (std::size_t s = 0; s < outer; ++s) {
       const double area = terms_.area[s];
       if (!(area > 0)) continue;
-      const Double4 exitance =
-          half_inverse_factor * x.outer[s] - (reflected / area) * to_double(light.outer[s]);
+      const Double4 exitance = half_inverse_factor * x.outer[s] - (reflected / area) * to_double(light.outer[s]);
       const Double4 e = 1.5 * half_inverse_factor * z.outer[s];
       error += area * e * e;
       size += area * exitance * exitance;
@@ -443,17 +474,55 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
 }
 
 // The constant whose residual sums to nothing: D4 exactly.
-void DiffusionSolver::conserve_energy() {
+void DiffusionSolver::conserve_energy(const DiffusionLight& light) {
   const RunLevel& finest = levels_.front();
   const std::size_t inner = finest.inner_size();
-  Double4 light = {}, loss = {}, reaction = {};
-  for (const Float4& value : lights_[0].outer) light += to_double(value);
-  if (inner_light_)
-    for (int c = 0; c < 3; ++c)
-      for (std::size_t i = 0; i < inner; ++i) light[c] += lights_[0].inner[c][i];
-  loss = solution_is_exact_ ? dot(finest.reaction, exact_, inner) : dot(finest.reaction, finest.x, inner);
-  reaction = sum_over(finest.reaction, finest.reaction, inner, [](double a, double) { return a; });
-  shift_ = safe_quotient(light - loss, reaction);
+  // In the terms of `energy`: only the same numbers cancel.
+  Double4 entering = light.source_total, loss = {}, reaction = {};
+  for (std::size_t s = 0; s < finest.surface.size(); ++s) {
+    if (!light.source) entering += to_double(light.irradiance[s]) * (2 * terms_.area[s] / (1 + current_reflectance_));
+    const Double4 own = to_double(terms_.absorption[s]) + terms_.area[s] / (2 * boundary_factor_);
+    loss += own * (solution_is_exact_ ? exact_.outer[s] : to_double(finest.x.outer[s]));
+    reaction += own;
+  }
+  for (int c = 0; c < 3; ++c) {
+    const float* absorption = finest.reaction.inner[c];
+    const float* single = finest.x.inner[c];
+    const double* exact = solution_is_exact_ ? exact_.inner[c] : nullptr;
+    const auto sum = [&](const auto& value) {
+      return parallel_sum(
+          inner, 0.0, [&](std::size_t i) { return absorption[i] * value(i); }, grain);
+    };
+    loss[c] += exact ? sum([&](std::size_t i) { return exact[i]; })
+                     : sum([&](std::size_t i) { return static_cast<double>(single[i]); });
+    reaction[c] += sum([](std::size_t) { return 1.0; });
+  }
+  const Double4 light_sum = safe_quotient(entering, scale_);
+  shift_ = safe_quotient(light_sum - loss, reaction);
+}
+
+LevelVector<float> DiffusionSolver::to_level(const std::vector<Double4>& point_values) const {
+  const RunLevel& finest = levels_.front();
+  LevelVector<float> result(finest.inner_size(), finest.surface.size());
+  for (std::size_t u = 0; u < finest.inner_size(); ++u)
+    for (int c = 0; c < 3; ++c) result.inner[c][u] = static_cast<float>(point_values[finest.layout.point_of[u]][c]);
+  for (std::size_t s = 0; s < result.outer.size(); ++s) result.outer[s] = to_float(point_values[fine_.outer_point[s]]);
+  return result;
+}
+
+DiffusionLight DiffusionSolver::source_light(const std::vector<Double4>& point_values) const {
+  DiffusionLight light;
+  light.irradiance.assign(levels_.front().surface.size(), Float4{});
+  light.source = to_level(point_values);
+  for (const Double4& value : point_values) light.source_total += value;
+  return light;
+}
+
+std::vector<Float4> DiffusionSolver::to_outer(const std::vector<Rgb>& point_values) const {
+  std::vector<Float4> result;
+  result.reserve(fine_.outer_point.size());
+  for (std::int32_t point : fine_.outer_point) result.push_back(to_lanes(point_values[point]));
+  return result;
 }
 
 std::vector<Double4> DiffusionSolver::fluence() const {
@@ -482,8 +551,7 @@ std::vector<Double4> DiffusionSolver::fluence() const {
 
 std::vector<Double4> DiffusionSolver::exitance(const DiffusionLight& light) const {
   const std::size_t n = levels_.front().surface.size();
-  const double reflected =
-      light.source ? 0 : (1 - current_reflectance_) / (1 + current_reflectance_);
+  const double reflected = light.source ? 0 : (1 - current_reflectance_) / (1 + current_reflectance_);
   std::vector<Double4> result(n, Double4{});
   for (std::size_t s = 0; s < n; ++s) {
     if (!(terms_.area[s] > 0)) continue;
@@ -510,12 +578,11 @@ EnergyBalance DiffusionSolver::energy(const DiffusionLight& light) const {
     const float* absorption = finest.reaction.inner[c];
     const float* single = finest.x.inner[c];
     const double* exact = solution_is_exact_ ? exact_.inner[c] : nullptr;
-    balance.absorbed[c] += scale_[c] * parallel_sum(
-                                           inner, 0.0,
-                                           [&](std::size_t i) {
-                                             return absorption[i] * ((exact ? exact[i] : single[i]) + shift_[c]);
-                                           },
-                                           4096);
+    balance.absorbed[c] +=
+        scale_[c] * parallel_sum(
+                        inner, 0.0,
+                        [&](std::size_t i) { return absorption[i] * ((exact ? exact[i] : single[i]) + shift_[c]); },
+                        4096);
   }
   balance.relative_defect = safe_quotient(balance.entering - balance.leaving - balance.absorbed, balance.entering);
   for (int c = 0; c < 4; ++c) balance.relative_defect[c] = std::abs(balance.relative_defect[c]);

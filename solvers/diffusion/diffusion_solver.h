@@ -13,12 +13,13 @@
 namespace shellgrid {
 
 struct SolverParameters {
-  int smoothing_degree = 2;      // of the polynomial before and after each coarse correction
-  double spectral_bound = 1.6;   // upper end of the spectrum that the polynomial damps
+  int smoothing_degree = 3;  // of the polynomial before and after each coarse correction
+  // Upper end of the spectrum that the polynomial damps. The true one never exceeds 2, where cells are flat, and there
+  // the polynomials up to degree 4 for this bound stay below one: so the cycle is positive definite.
+  double spectral_bound = 1.9;
   std::size_t coarsest_size = 400;  // unknowns that are solved directly
-  double exact_below = 1e-3;     // tolerances below it take couplings in single and iterates in double precision
-  double first_error_left = 0.3;  // share of what the first finest cycle changed that is taken to be left
-  int most_cycles = 4;           // before conjugate gradients take over
+  double exact_below = 1e-3;        // tolerances below it take couplings in single and iterates in double precision
+  int most_cycles = 4;              // before conjugate gradients take over
   int most_iterations = 200;
 };
 
@@ -37,8 +38,9 @@ struct SolveReport {
 
 // What lights the object, at the solver's unknowns.
 struct DiffusionLight {
-  std::vector<Float4> irradiance;    // of each outer unknown, W mm⁻²; q of D2
+  std::vector<Float4> irradiance;            // of each outer unknown, W mm⁻²; q of D2
   std::optional<LevelVector<float>> source;  // W: ∫ Q h dV, instead of what D2 makes of the irradiance
+  Double4 source_total = {};                 // its sum before it was rounded
 };
 
 // The solver of one polygrid: its levels once, its couplings for each material, a solution for each light.
@@ -60,6 +62,10 @@ class DiffusionSolver {
   std::size_t size() const { return levels_.front().size(); }
   const RunLevel& finest() const { return levels_.front(); }
   const FineGrid& grid() const { return fine_; }
+  // Vectors of the finest level from values one a polygrid point, in the solver's order.
+  LevelVector<float> to_level(const std::vector<Double4>& point_values) const;
+  DiffusionLight source_light(const std::vector<Double4>& point_values) const;
+  std::vector<Float4> to_outer(const std::vector<Rgb>& point_values) const;
   const SurfaceTerms& surface() const { return terms_; }
   std::vector<std::size_t> level_sizes() const;
 
@@ -83,9 +89,11 @@ class DiffusionSolver {
   void full_multigrid();
   void load_light(std::size_t level, bool whole);
   void set_light(const DiffusionLight& light);
+  static double share_left(const std::vector<Float4>& start, const std::vector<Float4>& once,
+                           const std::vector<Float4>& twice);
   double exitance_change(const std::vector<Float4>& before) const;
   void solve_by_conjugate_gradients(double tolerance, SolveReport& report);
-  void conserve_energy();
+  void conserve_energy(const DiffusionLight& light);
 
   SolverParameters parameters_;
   const Polygrid& polygrid_;
@@ -98,10 +106,11 @@ class DiffusionSolver {
   bool direct_ = false;
 
   std::vector<LevelVector<float>> lights_;  // of each level, for full multigrid; inner parts only with inner light
-  std::vector<Float4> first_outer_;           // the outer points before the last cycle
+  double error_left_ = 0.1;                 // share of the error that a cycle leaves, measured a level below
+  std::vector<Float4> first_outer_;         // the outer points before the last cycle
   bool inner_light_ = false;
-  Double4 scale_ = {};                       // the light's; iterates are in units of it
-  LevelVector<double> exact_;                // the solution in double precision, where that was asked for
+  Double4 scale_ = {};         // the light's; iterates are in units of it
+  LevelVector<double> exact_;  // the solution in double precision, where that was asked for
   bool solution_is_exact_ = false;
   Double4 shift_ = {};
 };

@@ -43,6 +43,27 @@ constexpr AxisWeights axis_weights(int half) {
   return half == 0 ? AxisWeights{{{1, 0}, {0.5f, 0.5f}}} : AxisWeights{{{0.5f, 0.5f}, {0, 1}}};
 }
 
+// m ← Wᵀ m W along one axis.
+template <int size>
+void lift_axis(Float4 (&m)[size][size], int bit, const AxisWeights& weights) {
+  const auto& w = weights.w;
+  for (int a = 0; a < size; ++a) {
+    if (a & bit) continue;
+    for (int b = 0; b < size; ++b) {
+      const Float4 low = m[a][b], high = m[a | bit][b];
+      m[a][b] = w[0][0] * low + w[1][0] * high;
+      m[a | bit][b] = w[0][1] * low + w[1][1] * high;
+    }
+  }
+  for (int a = 0; a < size; ++a)
+    for (int b = 0; b < size; ++b) {
+      if (b & bit) continue;
+      const Float4 low = m[a][b], high = m[a][b | bit];
+      m[a][b] = w[0][0] * low + w[1][0] * high;
+      m[a][b | bit] = w[0][1] * low + w[1][1] * high;
+    }
+}
+
 }  // namespace
 
 void core_elements(const CellLanes& cells, ElementLanes& elements) {
@@ -70,8 +91,7 @@ void core_elements(const CellLanes& cells, ElementLanes& elements) {
     for (int axis = 0; axis < 3; ++axis) {
       const Lanes* u = j[(axis + 1) % 3];
       const Lanes* v = j[(axis + 2) % 3];
-      for (int d = 0; d < 3; ++d)
-        cofactor[axis][d] = u[(d + 1) % 3] * v[(d + 2) % 3] - u[(d + 2) % 3] * v[(d + 1) % 3];
+      for (int d = 0; d < 3; ++d) cofactor[axis][d] = u[(d + 1) % 3] * v[(d + 2) % 3] - u[(d + 2) % 3] * v[(d + 1) % 3];
     }
     const Lanes determinant = j[0][0] * cofactor[0][0] + j[0][1] * cofactor[0][1] + j[0][2] * cofactor[0][2];
     const Lanes share = 0.125f / determinant;
@@ -168,7 +188,12 @@ void add_layer_cell(const CellCorners& corners, const Rgb* absorption, const Rgb
     for (int k = 0; k < 3; ++k) {
       // With the corner itself, whose gradient is minus the neighbours' sum.
       const double with_own = -(product[k][0] + product[k][1] + product[k][2]);
-      element.coupling(node[q], node[along[q][k]]) -= colours * diffusion * static_cast<float>(with_own);
+      const Float4 value = colours * diffusion * static_cast<float>(-with_own);
+      const int a = node[q], b = node[along[q][k]];
+      if (a % 8 == b % 8)
+        element.through[a % 8][a % 8] += value;
+      else
+        element.coupling(a, b) += value;
       for (int l = k + 1; l < 3; ++l)
         element.coupling(node[along[q][k]], node[along[q][l]]) -=
             colours * diffusion * static_cast<float>(product[k][l]);
@@ -178,7 +203,9 @@ void add_layer_cell(const CellCorners& corners, const Rgb* absorption, const Rgb
 }
 
 void add_coarse_boundary(const BoundaryElement& child, int octant, BoundaryElement& parent) {
-  Float4 m[16][16];
+  Float4 m[16][16], w[8][8];
+  for (int a = 0; a < 8; ++a)
+    for (int b = 0; b < 8; ++b) w[a][b] = child.through[a][b];
   for (int a = 0; a < 16; ++a) m[a][a] = Float4{};
   for (int a = 0; a < 16; ++a)
     for (int b = a + 1; b < 16; ++b) {
@@ -188,27 +215,14 @@ void add_coarse_boundary(const BoundaryElement& child, int octant, BoundaryEleme
       m[b][b] -= value;
     }
   for (int axis = 0; axis < 3; ++axis) {
-    const int bit = 1 << axis;
-    const AxisWeights w = axis_weights(octant >> axis & 1);
-    for (int a = 0; a < 16; ++a) {
-      if (a & bit) continue;
-      for (int b = 0; b < 16; ++b) {
-        const Float4 low = m[a][b], high = m[a | bit][b];
-        m[a][b] = w.w[0][0] * low + w.w[1][0] * high;
-        m[a | bit][b] = w.w[0][1] * low + w.w[1][1] * high;
-      }
-    }
-    for (int b = 0; b < 16; ++b) {
-      if (b & bit) continue;
-      for (int a = 0; a < 16; ++a) {
-        const Float4 low = m[a][b], high = m[a][b | bit];
-        m[a][b] = w.w[0][0] * low + w.w[1][0] * high;
-        m[a][b | bit] = w.w[0][1] * low + w.w[1][1] * high;
-      }
-    }
+    const AxisWeights weights = axis_weights(octant >> axis & 1);
+    lift_axis(m, 1 << axis, weights);
+    lift_axis(w, 1 << axis, weights);
   }
   for (int a = 0; a < 16; ++a)
     for (int b = a + 1; b < 16; ++b) parent.coupling(a, b) += m[a][b];
+  for (int a = 0; a < 8; ++a)
+    for (int b = 0; b < 8; ++b) parent.through[a][b] += w[a][b];
 }
 
 }  // namespace shellgrid

@@ -58,8 +58,7 @@ void add_links(const RunLayout& layout, const std::vector<std::int32_t>& owner, 
     for (int dx = 0; dx < 3; ++dx) {
       RunLink* link = nullptr;
       for (std::int32_t p = 0; p < run.length; ++p) {
-        const std::int32_t other =
-            owner[static_cast<std::size_t>(run.start + p) * coupling_slots + 1 + 3 * line + dx];
+        const std::int32_t other = owner[static_cast<std::size_t>(run.start + p) * coupling_slots + 1 + 3 * line + dx];
         if (other < 0) continue;
         const std::int32_t other_run = layout.run_of[other];
         if (!link || link->run != other_run) {
@@ -67,7 +66,8 @@ void add_links(const RunLayout& layout, const std::vector<std::int32_t>& owner, 
             return l.run == other_run && l.begin[dx] == l.end[dx];
           });
           if (at == links.end()) {
-            links.push_back({other_run, other - (dx - 1) - (run.start + p), {}, {}, static_cast<std::int8_t>(line), true});
+            links.push_back(
+                {other_run, other - (dx - 1) - (run.start + p), {}, {}, static_cast<std::int8_t>(line), true});
             link = &links.back();
           } else {
             link = &*at;
@@ -128,8 +128,7 @@ RunLayout lay_out_runs(const std::vector<Vec3i>& lattice, const std::vector<char
   }
   layout.link_start.assign(runs + 1, 0);
   for (std::size_t r = 0; r < runs; ++r)
-    layout.link_start[r + 1] =
-        layout.link_start[r] + preceding_count[r] + following_start[r + 1] - following_start[r];
+    layout.link_start[r + 1] = layout.link_start[r] + preceding_count[r] + following_start[r + 1] - following_start[r];
   layout.links.resize(layout.link_start.back());
   std::vector<std::int64_t> next(layout.link_start.begin(), layout.link_start.end() - 1);
   for (std::size_t r = 0; r < runs; ++r)

@@ -48,16 +48,16 @@ struct ExtraCoupling {
 };
 
 struct RunLayout {
-  std::vector<LatticeRun> runs;            // ascending in (z, y, x)
-  std::vector<std::int32_t> run_of;        // of each unknown
-  std::vector<std::int32_t> unknown_of;    // of each point; −1 for those left out
-  std::vector<std::int32_t> point_of;      // of each unknown
-  std::vector<RunLink> links;              // by run, those to preceding runs first
-  std::vector<std::int64_t> link_start;    // runs + 1
-  std::vector<ExtraCoupling> extras;       // each once
-  std::vector<std::int32_t> extra_entry;   // 2·extra + (0: its first is here, 1: its second), by run
-  std::vector<std::int32_t> extra_start;   // runs + 1
-  std::vector<std::uint8_t> irregular;     // of each cell: some coupling of it is an extra
+  std::vector<LatticeRun> runs;           // ascending in (z, y, x)
+  std::vector<std::int32_t> run_of;       // of each unknown
+  std::vector<std::int32_t> unknown_of;   // of each point; −1 for those left out
+  std::vector<std::int32_t> point_of;     // of each unknown
+  std::vector<RunLink> links;             // by run, those to preceding runs first
+  std::vector<std::int64_t> link_start;   // runs + 1
+  std::vector<ExtraCoupling> extras;      // each once
+  std::vector<std::int32_t> extra_entry;  // 2·extra + (0: its first is here, 1: its second), by run
+  std::vector<std::int32_t> extra_start;  // runs + 1
+  std::vector<std::uint8_t> irregular;    // of each cell: some coupling of it is an extra
 
   std::size_t size() const { return point_of.size(); }
   // Where couplings of an unknown's slot stand: slot s, copy c of `copies` at place(u, copies) + (s·copies + c)·length.

@@ -18,13 +18,12 @@ template <class Body>
 void for_slabs(const std::vector<std::int32_t>& start, const Body& body) {
   const std::size_t slabs = start.empty() ? 0 : start.size() - 1;
   for (std::size_t parity = 0; parity < 2; ++parity)
-    parallel_for(
-        (slabs + 1 - parity) / 2,
-        [&](std::size_t k) {
-          const std::size_t slab = 2 * k + parity;
-          if (start[slab] < start[slab + 1]) body(start[slab], start[slab + 1]);
-        },
-        1);
+    parallel_for((slabs + 1 - parity) / 2,
+                 [&](std::size_t k) {
+                   const std::size_t slab = 2 * k + parity;
+                   if (start[slab] < start[slab + 1]) body(start[slab], start[slab + 1]);
+                 },
+                 1);
 }
 
 // Couplings of the cells of one level while their parents' add up: 84 planes, 28 of each channel.
@@ -77,8 +76,7 @@ void add_to_parents(const ElementLanes& parents, const std::int32_t* parent, int
 }
 
 // The same where the parents follow each other: lanes 2 i − odd and 2 i + 1 − odd have parent first + i.
-void add_to_line_of_parents(const ElementLanes& parents, std::int32_t first, int odd, int count,
-                            CellElements& coarse) {
+void add_to_line_of_parents(const ElementLanes& parents, std::int32_t first, int odd, int count, CellElements& coarse) {
   using Eight = float __attribute__((vector_size(32)));
   const int touched = (count + odd + 1) / 2;
   for (int k = 0; k < 84; ++k) {
@@ -208,7 +206,7 @@ void add_boundary_element(const BoundaryElement& element, std::size_t place, Run
     for (int b = a + 1; b < 8; ++b)
       if (mask >> b & 1) add_coupling(level, cell, a, b, element.coupling(a, b));
     const std::int32_t s = outer[a];
-    level.link[s] += element.coupling(a, a + 8);
+    level.link[s] += element.through[a][a];
     for (int b = 0; b < 8; ++b) {
       if (b == a || !(mask >> b & 1)) continue;
       const auto first = level.surface.neighbour.begin() + level.surface.start[s];
@@ -222,6 +220,7 @@ void add_boundary_element(const BoundaryElement& element, std::size_t place, Run
         pair.twin_outer[c] += twin_outer[c];
         pair.outer_twin[c] += outer_twin[c];
       }
+      if (!level.across.empty()) level.across[at] += element.through[a][b];
     }
   }
 }
@@ -255,8 +254,7 @@ void assemble_layer(const Polygrid& polygrid, const CellCoefficients& coefficien
   }
 }
 
-void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level,
-                  std::vector<BoundaryElement>* coarse) {
+void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level, std::vector<BoundaryElement>* coarse) {
   for_slabs(level.cells.boundary_slab_start, [&](std::int32_t begin, std::int32_t end) {
     for (std::int32_t place = begin; place < end; ++place) {
       add_boundary_element(elements[place], place, level);
@@ -301,9 +299,8 @@ void halve_numbers(const float* from, float scale, std::size_t begin, std::size_
 #if defined(__AVX512F__)
   for (; i + 16 <= end; i += 16)
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(to + i),
-                        _mm512_maskz_cvtps_ph(
-                            0xffff, _mm512_mul_ps(_mm512_loadu_ps(from + i), _mm512_set1_ps(scale)),
-                            _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC));
+                        _mm512_maskz_cvtps_ph(0xffff, _mm512_mul_ps(_mm512_loadu_ps(from + i), _mm512_set1_ps(scale)),
+                                              _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC));
 #elif defined(__F16C__)
   for (; i + 8 <= end; i += 8)
     _mm_storeu_si128(reinterpret_cast<__m128i*>(to + i),
@@ -318,7 +315,8 @@ void store_half(RunLevel& level) {
   const std::size_t n = level.single.values.size();
   const float* from = level.single.values.data();
   float greatest = parallel_sum(
-      n, Greatest{}, [&](std::size_t i) { return Greatest{std::abs(from[i])}; }, 1 << 16).value;
+                       n, Greatest{}, [&](std::size_t i) { return Greatest{std::abs(from[i])}; }, 1 << 16)
+                       .value;
   float surface_greatest = 0;
   for (const auto& pair : level.single.surface)
     for (int c = 0; c < 3; ++c)
@@ -363,6 +361,7 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
     level.single.values = StreamBuffer<float>(static_cast<std::size_t>(coupling_slots) * 3 * level.inner_size());
     level.single.surface.assign(level.surface.neighbour.size(), {});
     level.link.assign(level.surface.size(), Float4{});
+    level.across.assign(l > 0 ? level.surface.neighbour.size() : 0, Float4{});
     level.extra.assign(level.layout.extras.size(), Float4{});
     CellElements coarse_elements;
     const bool has_coarse = l + 1 < levels.size();

@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "meshing/polycube/polygrid.h"
-#include "solvers/diffusion/multigrid.h"
 
 namespace shellgrid {
 

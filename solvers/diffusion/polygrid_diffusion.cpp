@@ -119,20 +119,15 @@ struct PointFields {
 PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
                            const std::vector<Rgb>& irradiance, const BeamSource* beams, const DiffusionOptions& options,
                            DiffusionResult& result) {
-  const PolygridSystem system = assemble_polygrid_system(polygrid, coefficients, ior);
-  const std::size_t n = system.key.size();
-  std::vector<Double4> q(n, Double4{}), fluence;
-  std::vector<Double4> source(n);
-  if (beams) {
-    for (std::size_t u = 0; u < n; ++u) source[u] = beams->source[system.point_of_unknown[u]];
-  } else {
-    for (std::size_t u = 0; u < n; ++u) q[u] = to_double(to_lanes(irradiance[system.point_of_unknown[u]]));
-    source = boundary_source(system, q);
-  }
-  Multigrid multigrid(system);
-  result.solve =
-      solve_conjugate_gradients(system, multigrid, source, q, options.tolerance, options.most_iterations, fluence);
-  result.energy = energy_balance(system, fluence, q);
+  DiffusionSolver solver(polygrid);
+  solver.set_material(coefficients, ior, options.tolerance);
+  DiffusionLight light;
+  if (beams)
+    light = solver.source_light(beams->source);
+  else
+    light.irradiance = solver.to_outer(irradiance);
+  result.solve = solver.solve(light, options.tolerance);
+  result.energy = solver.energy(light);
   if (beams) {
     EnergyBalance& energy = result.energy;
     energy.entering = beams->entering;
@@ -141,12 +136,10 @@ PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coe
     energy.relative_defect = safe_quotient(energy.entering - energy.leaving - energy.absorbed, energy.entering);
     for (int c = 0; c < 4; ++c) energy.relative_defect[c] = std::abs(energy.relative_defect[c]);
   }
-  const std::vector<Double4> exitance = boundary_exitance(system, fluence, q);
-  PointFields fields{std::vector<Rgb>(n), std::vector<Rgb>(n)};
-  for (std::size_t u = 0; u < n; ++u) {
-    fields.fluence[system.point_of_unknown[u]] = to_rgb(fluence[u]);
-    fields.exitance[system.point_of_unknown[u]] = to_rgb(exitance[u]);
-  }
+  const std::vector<Double4> fluence = solver.fluence(), exitance = solver.exitance(light);
+  PointFields fields{std::vector<Rgb>(fluence.size()), std::vector<Rgb>(fluence.size(), Rgb::Zero())};
+  for (std::size_t p = 0; p < fluence.size(); ++p) fields.fluence[p] = to_rgb(fluence[p]);
+  for (std::size_t s = 0; s < exitance.size(); ++s) fields.exitance[solver.grid().outer_point[s]] = to_rgb(exitance[s]);
   return fields;
 }
 

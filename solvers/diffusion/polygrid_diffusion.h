@@ -12,7 +12,7 @@
 #include "meshing/shell/shell_volume.h"
 #include "solvers/diffusion/beam_source.h"
 #include "solvers/diffusion/core_extension.h"
-#include "solvers/diffusion/multigrid.h"
+#include "solvers/diffusion/diffusion_solver.h"
 #include "solvers/render/lights.h"
 
 namespace shellgrid {
@@ -23,7 +23,6 @@ struct DiffusionOptions {
   double tolerance = 0.005;                // relative error of the exitance
   int environment_samples = 256;           // parallel lights that stand for an environment
   int beam_samples = 64;                   // the same where each becomes beams through the object
-  int most_iterations = 200;
 };
 
 struct DiffusionResult {

@@ -20,9 +20,10 @@ void for_runs(const RunLayout& layout, const Body& body) {
     for (std::size_t r = 0; r < runs; ++r) body(r);
     return;
   }
-  parallel_chunks(runs, std::max<std::size_t>(1, runs * grain / layout.size()), [&](std::size_t begin, std::size_t end) {
-    for (std::size_t r = begin; r < end; ++r) body(r);
-  });
+  parallel_chunks(runs, std::max<std::size_t>(1, runs * grain / layout.size()),
+                  [&](std::size_t begin, std::size_t end) {
+                    for (std::size_t r = begin; r < end; ++r) body(r);
+                  });
 }
 
 template <class Body>
@@ -203,7 +204,12 @@ void couple_surface(const RunLevel& level, const LevelCouplings<Store>& coupling
       outer_sum += widen(read4(a.outer_twin), Lanes4<Real>{}) * (outer - losses.twin_value[t]);
       twin_sum += widen(read4(a.twin_outer), Lanes4<Real>{}) * (twin - x.outer[t]);
     }
-    const Lanes4<Real> through = widen(level.link[s], Lanes4<Real>{}) * (outer - twin);
+    Lanes4<Real> through = widen(level.link[s], Lanes4<Real>{}) * (outer - twin);
+    if (!level.across.empty())
+      for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
+        const std::int32_t t = surface.neighbour[k];
+        through += widen(level.across[k], Lanes4<Real>{}) * (x.outer[t] - losses.twin_value[t]);
+      }
     losses.outer_loss[s] = factor * outer_sum + through;
     losses.twin_loss[s] = factor * twin_sum - through;
   });
@@ -265,8 +271,7 @@ void halve_run(const LatticeRun& run, std::int32_t coarse_length, const float* l
     halved[X] = 0.5f * at(2 * X - 1 - odd) + at(2 * X - odd) + 0.5f * at(2 * X + 1 - odd);
   for (; X < std::min(inside, coarse_length); ++X)
     halved[X] = 0.5f * line[2 * X - 1 - odd] + line[2 * X - odd] + 0.5f * line[2 * X + 1 - odd];
-  for (; X < coarse_length; ++X)
-    halved[X] = 0.5f * at(2 * X - 1 - odd) + at(2 * X - odd) + 0.5f * at(2 * X + 1 - odd);
+  for (; X < coarse_length; ++X) halved[X] = 0.5f * at(2 * X - 1 - odd) + at(2 * X - odd) + 0.5f * at(2 * X + 1 - odd);
 }
 
 // Adds the halved lines up in the coarse runs; irregular runs' values stand in `fine`.
@@ -337,6 +342,10 @@ void prepare_smoother(RunLevel& level, const LevelCouplings<Store>& couplings) {
       outer_size += absolute(a) + absolute(b);
       twin += c;
       twin_size += absolute(c);
+      if (level.across.empty()) continue;
+      // As couplings, W's entries have the wrong sign among equals.
+      outer_size += 2.0f * absolute(level.across[k]);
+      twin_size += 2.0f * absolute(level.across[k]);
     }
     const Float4 link = level.link[s];
     twin_sum[s] = twin + link;
@@ -415,8 +424,7 @@ void apply_level(const RunLevel& level, const LevelVector<Real>& x, LevelVector<
       const Real* value = x.inner[c] + run.start;
       const float* reaction = level.reaction.inner[c] + run.start;
       Real* to = result.inner[c] + run.start;
-      for (std::int32_t p = 0; p < run.length; ++p)
-        to[p] = lines[c][p] + static_cast<Real>(reaction[p]) * value[p];
+      for (std::int32_t p = 0; p < run.length; ++p) to[p] = lines[c][p] + static_cast<Real>(reaction[p]) * value[p];
     }
   });
   for_outer(level.surface.size(), [&](std::size_t s) {
@@ -501,8 +509,7 @@ void restrict_residual(RunLevel& level, RunLevel& coarse, bool inner_light) {
     });
   });
   for_outer(level.surface.size(), [&](std::size_t s) {
-    level.before.outer[s] =
-        outer_residual(level, level.x, level.right_side, losses, static_cast<std::int32_t>(s));
+    level.before.outer[s] = outer_residual(level, level.x, level.right_side, losses, static_cast<std::int32_t>(s));
   });
   restrict_lines(level, level.before, coarse.layout, coarse.right_side);
   restrict_outer(level.transfer.outer_down, level.before.outer, coarse.right_side.outer);

@@ -67,9 +67,9 @@ struct SurfaceCoupling {
 // A symmetric operator (A x)_i = reaction_i x_i + Σ_j coupling_ij (x_i − x_j) on a level.
 template <class Store>
 struct LevelCouplings {
-  int copies = 3;                   // 1: the three channels' couplings are proportional
-  StreamBuffer<Store> values;       // see RunLayout::place
-  Float4 factor = {1, 1, 1, 1};     // stored values times it are couplings
+  int copies = 3;                // 1: the three channels' couplings are proportional
+  StreamBuffer<Store> values;    // see RunLayout::place
+  Float4 factor = {1, 1, 1, 1};  // stored values times it are couplings
   std::vector<SurfaceCoupling<Store>> surface;
   Float4 surface_factor = {1, 1, 1, 1};
 
@@ -113,14 +113,14 @@ struct SmoothingStep {
 
 // The cells of a level, as their elements are added up.
 struct LevelCells {
-  std::vector<std::int32_t> corners;      // 8 inner unknowns a cell, bit k of the corner's number towards + axis k
-  std::vector<std::uint8_t> octant;       // place in the parent: bit k for the half towards + axis k
-  std::vector<std::int32_t> parent;       // cell of the next coarser level
-  std::vector<std::int32_t> boundary;     // cells with boundary elements, ascending
-  std::vector<std::uint8_t> outer_mask;   // of each of those: the corners above which outer points couple
-  std::vector<std::int32_t> outer;        // 8 of each of those: the outer points above its corners or −1
-  std::vector<std::int32_t> boundary_parent;   // of each of those: its parent's place among the coarser level's
-  std::vector<std::int32_t> slab_start;   // cells of slabs that share z / 2, ascending
+  std::vector<std::int32_t> corners;          // 8 inner unknowns a cell, bit k of the corner's number towards + axis k
+  std::vector<std::uint8_t> octant;           // place in the parent: bit k for the half towards + axis k
+  std::vector<std::int32_t> parent;           // cell of the next coarser level
+  std::vector<std::int32_t> boundary;         // cells with boundary elements, ascending
+  std::vector<std::uint8_t> outer_mask;       // of each of those: the corners above which outer points couple
+  std::vector<std::int32_t> outer;            // 8 of each of those: the outer points above its corners or −1
+  std::vector<std::int32_t> boundary_parent;  // of each of those: its parent's place among the coarser level's
+  std::vector<std::int32_t> slab_start;       // cells of slabs that share z / 2, ascending
   std::vector<std::int32_t> boundary_slab_start;  // the same of cells with boundary elements
 
   std::size_t size() const { return octant.size(); }
@@ -135,7 +135,10 @@ struct RunLevel {
   LevelCouplings<Half> half;
   LevelCouplings<float> single;
   LevelVector<float> reaction;
-  std::vector<Float4> link;          // coupling of each outer point with its twin
+  // Through the thin layer: what flows from outer to inner points is W (x_outer − x_twin), W symmetric. Apart from the
+  // other couplings, so that these keep their precision beside it where the layer is thin.
+  std::vector<Float4> link;          // W's diagonal, of each outer point
+  std::vector<Float4> across;        // its other entries, as SurfaceLayout::neighbour; none on the finest level
   std::vector<Float4> extra;         // of layout.extras
   ChannelPlanes<UpperHalf> inverse;  // smoother: of the diagonal or the pair's 2×2 block
   std::vector<Float4> twin_inverse, pair_inverse, outer_inverse;  // of the blocks; `inverse` is 0 at twins

@@ -130,18 +130,24 @@ void run_grid(int n) {
   const std::vector<Double4> source = boundary_source(system, irradiance);
 
   std::vector<Row> rows;
-  std::vector<Double4> fluence;
-  Multigrid reference(system);
-  solve_conjugate_gradients(system, reference, source, irradiance, 1e-11, 200, fluence);
-  const std::vector<Double4> exact = boundary_exitance(system, fluence, irradiance);
-  const double setup = test::median_seconds(repetitions, [&] { Multigrid multigrid(system); });
+  DiffusionSolver solver(grid);
+  solver.set_material(coefficients, ior, 1e-11);
+  DiffusionLight light;
+  for (std::int32_t point : solver.grid().outer_point)
+    light.irradiance.push_back(to_float(irradiance[system.unknown_of_point[point]]));
+  const auto exitance = [&] {
+    std::vector<Double4> result(source.size(), Double4{});
+    const std::vector<Double4> own = solver.exitance(light);
+    for (std::size_t s = 0; s < own.size(); ++s) result[system.unknown_of_point[solver.grid().outer_point[s]]] = own[s];
+    return result;
+  };
+  solver.solve(light, 1e-11);
+  const std::vector<Double4> exact = exitance();
   for (double tolerance : {5e-2, 5e-3, 1e-4, 1e-6}) {
-    const double solve = test::median_seconds(repetitions, [&] {
-      fluence.clear();
-      solve_conjugate_gradients(system, reference, source, irradiance, tolerance, 200, fluence);
-    });
-    rows.push_back({"multigrid", source.size(), assembly, setup, solve,
-                    relative_difference(system.boundary_area, boundary_exitance(system, fluence, irradiance), exact)});
+    const double setup = test::median_seconds(repetitions, [&] { solver.set_material(coefficients, ior, tolerance); });
+    const double solve = test::median_seconds(repetitions, [&] { solver.solve(light, tolerance); });
+    rows.push_back(
+        {"multigrid", source.size(), 0, setup, solve, relative_difference(system.boundary_area, exitance(), exact)});
   }
   const std::size_t own = rows.size();
   run_eigen<Eigen::IncompleteCholesky<double>>("CG + incomplete Cholesky", system, assembly, source, irradiance, exact,

@@ -109,7 +109,8 @@ int main(int argc, char** argv) {
   std::printf("\n");
   report_time("set-up after a change of material", 2, [&] { solver->set_material(coefficients, 1.5, 0.005); });
   for (double tolerance : {0.05, 0.005, 1e-3}) {
-    report_time(("solve to " + std::to_string(tolerance)).c_str(), 5, [&] { report = solver->solve(light, tolerance); });
+    report_time(("solve to " + std::to_string(tolerance)).c_str(), 5,
+                [&] { report = solver->solve(light, tolerance); });
     std::printf("   %d cycles, %d iterations, estimated %.2e, true %.2e; energy defect %.1e\n", report.cycles,
                 report.iterations, report.estimated_error,
                 exitance_error(solver->surface().area, solver->exitance(light), exact),

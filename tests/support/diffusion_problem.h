@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "solvers/diffusion/closed_forms.h"
-#include "solvers/diffusion/multigrid.h"
+#include "solvers/diffusion/diffusion_solver.h"
 #include "solvers/diffusion/polygrid_system.h"
 #include "tests/support/polygrid_shapes.h"
 
@@ -17,6 +17,7 @@ inline Material grey_material(const DiffusionCoefficients& c) {
                                               Rgb::Constant(static_cast<float>(c.reduced_scattering)), Rgb::Zero());
 }
 
+// Solution of a problem, at the unknowns of its system.
 struct SolvedProblem {
   Polygrid grid;
   PolygridSystem system;
@@ -27,20 +28,36 @@ struct SolvedProblem {
   Vec3 position(std::size_t unknown) const { return grid.points.row(system.point_of_unknown[unknown]).transpose(); }
 };
 
+inline DiffusionLight light_of(const DiffusionSolver& solver, const Polygrid& grid,
+                               const std::function<Double4(const Vec3&)>& light) {
+  DiffusionLight result;
+  for (std::int32_t point : solver.grid().outer_point)
+    result.irradiance.push_back(to_float(light(grid.points.row(point).transpose())));
+  return result;
+}
+
 // `light(point)`: irradiance of channel 0, 1, 2 at outer points.
 inline SolvedProblem solve_problem(Polygrid grid, const CellCoefficients& coefficients, double ior,
                                    const std::function<Double4(const Vec3&)>& light, double tolerance = 1e-9) {
   SolvedProblem p;
   p.grid = std::move(grid);
   p.system = assemble_polygrid_system(p.grid, coefficients, ior);
-  p.irradiance.assign(p.system.key.size(), Double4{});
-  for (std::size_t u = 0; u < p.irradiance.size(); ++u)
-    if (p.system.boundary_area[u] > 0) p.irradiance[u] = light(p.position(u));
-  Multigrid multigrid(p.system);
-  p.report = solve_conjugate_gradients(p.system, multigrid, boundary_source(p.system, p.irradiance), p.irradiance,
-                                       tolerance, 100, p.fluence);
-  p.exitance = boundary_exitance(p.system, p.fluence, p.irradiance);
-  p.energy = energy_balance(p.system, p.fluence, p.irradiance);
+  DiffusionSolver solver(p.grid);
+  solver.set_material(coefficients, ior, tolerance);
+  const DiffusionLight lit = light_of(solver, p.grid, light);
+  p.report = solver.solve(lit, tolerance);
+  const std::vector<Double4> fluence = solver.fluence(), exitance = solver.exitance(lit);
+  const std::size_t n = fluence.size();
+  p.irradiance.assign(n, Double4{});
+  p.exitance.assign(n, Double4{});
+  p.fluence.resize(n);
+  for (std::size_t u = 0; u < n; ++u) p.fluence[u] = fluence[p.system.point_of_unknown[u]];
+  for (std::size_t s = 0; s < exitance.size(); ++s) {
+    const std::int32_t u = p.system.unknown_of_point[solver.grid().outer_point[s]];
+    p.irradiance[u] = to_double(lit.irradiance[s]);
+    p.exitance[u] = exitance[s];
+  }
+  p.energy = solver.energy(lit);
   return p;
 }
 

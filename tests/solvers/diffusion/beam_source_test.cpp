@@ -37,10 +37,11 @@ struct LitSlab {
       for (double s : {0.25, 0.75})
         for (double t : {0.25, 0.75}) list.push_back({s, t, direction, Double4{share, 2 * share, 0, 0}});
     });
-    std::vector<Double4> source(beams.source.size()), none(beams.source.size(), Double4{});
-    for (std::size_t u = 0; u < source.size(); ++u) source[u] = beams.source[system.point_of_unknown[u]];
-    Multigrid multigrid(system);
-    solve_conjugate_gradients(system, multigrid, source, none, 1e-9, 200, fluence);
+    DiffusionSolver solver(grid);
+    solver.set_material(c, ior, 1e-9);
+    solver.solve(solver.source_light(beams.source), 1e-9);
+    const std::vector<Double4> at_points = solver.fluence();
+    for (std::int32_t point : system.point_of_unknown) fluence.push_back(at_points[point]);
   }
   // Power that leaves diffusely through z = 0.
   double reflected() const {
