@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -77,6 +78,25 @@ void for_entries(LevelVector<A>& a, LevelVector<B>& b, std::size_t inner, const 
     }
 }
 
+// Greatest ratio of two σ_t' of one channel.
+double contrast(const CellCoefficients& coefficients) {
+  struct Range {
+    Rgb least = Rgb::Constant(std::numeric_limits<float>::infinity()), greatest = Rgb::Zero();
+    Range operator+(const Range& o) const { return {least.min(o.least), greatest.max(o.greatest)}; }
+  };
+  const std::vector<Rgb>& values = coefficients.reduced_extinction;
+  const std::size_t chunk = 4096;
+  const Range range = parallel_sum((values.size() + chunk - 1) / chunk, Range{},
+                                   [&](std::size_t k) {
+                                     Range own;
+                                     for (std::size_t i = k * chunk; i < std::min(values.size(), (k + 1) * chunk); ++i)
+                                       own = own + Range{values[i], values[i]};
+                                     return own;
+                                   },
+                                   1);
+  return (range.greatest / range.least).maxCoeff();
+}
+
 }  // namespace
 
 DiffusionSolver::DiffusionSolver(const Polygrid& polygrid, const SolverParameters& parameters)
@@ -98,6 +118,7 @@ void DiffusionSolver::set_material(const CellCoefficients& coefficients, double 
   options.keep_single = least_tolerance < parameters_.exact_below;
   terms_ = assemble_levels(polygrid_, coefficients, options, fine_, levels_);
   prepare_coarsest();
+  contrast_ = contrast(coefficients);
   has_material_ = true;
 }
 
@@ -241,21 +262,22 @@ void DiffusionSolver::full_multigrid() {
     const std::vector<Float4> once = level.x.outer;
     load_light(l, false);
     cycle(l, inner_light_, false);
-    error_left_ = share_left(start, once, level.x.outer);
+    error_left_ = share_left(level, start, once);
   }
 }
 
 // The share of the error that a cycle leaves, from what the first and the second changed at the outer points.
-double DiffusionSolver::share_left(const std::vector<Float4>& start, const std::vector<Float4>& once,
-                                   const std::vector<Float4>& twice) {
-  Float4 first = {}, second = {};
+double DiffusionSolver::share_left(const RunLevel& level, const std::vector<Float4>& start,
+                                   const std::vector<Float4>& once) {
+  Double4 first = {}, second = {};
   for (std::size_t s = 0; s < start.size(); ++s) {
-    first += (once[s] - start[s]) * (once[s] - start[s]);
-    second += (twice[s] - once[s]) * (twice[s] - once[s]);
+    const Float4 a = once[s] - start[s], b = level.x.outer[s] - once[s];
+    first += to_double(level.reaction.outer[s] * a * a);
+    second += to_double(level.reaction.outer[s] * b * b);
   }
   double worst = 0;
   for (int c = 0; c < 3; ++c)
-    if (first[c] > 0) worst = std::max(worst, std::sqrt(static_cast<double>(second[c] / first[c])));
+    if (first[c] > 0) worst = std::max(worst, std::sqrt(second[c] / first[c]));
   return worst;
 }
 
@@ -320,12 +342,18 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   full_multigrid();
   report.cycles = 1;
   double change = exitance_change(first_outer_);
-  const auto left_of = [](double ratio) { return ratio < 0.9 ? std::max(0.1, ratio / (1 - ratio)) : 10.0; };
-  report.estimated_error = left_of(std::min(0.9, 1.5 * error_left_)) * change;
+  const auto left_of = [](double ratio, double least) {
+    return ratio < 0.45 ? std::max(least, 2 * ratio / (1 - 2 * ratio)) : 10.0;
+  };
+  // Most of what the first finest cycle changes is smooth or rough: it leaves less than cycles do in the long run.
+  report.estimated_error = (error_left_ < 0.45 ? std::max(0.05, 0.3 * error_left_) : 10.0) * change;
   if (levels_.size() == 1) report.estimated_error = 1e-6;  // solved directly, in single precision
   report.error_history.push_back(report.estimated_error);
   solution_is_exact_ = false;
-  while (report.estimated_error > tolerance && tolerance >= parameters_.exact_below &&
+  // In rough materials a few slow parts of the error hide behind what cycles change.
+  const bool rough = contrast_ > parameters_.rough_contrast;
+  if (rough) report.estimated_error = std::max(report.estimated_error, 1.01 * tolerance);
+  while (report.estimated_error > tolerance && tolerance >= parameters_.exact_below && !rough &&
          report.cycles < parameters_.most_cycles && std::isfinite(change)) {
     first_outer_ = levels_.front().x.outer;
     cycle(0, inner_light_, false);
@@ -333,7 +361,7 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
     const double last = change;
     change = exitance_change(first_outer_);
     const double ratio = change / last;
-    report.estimated_error = change * left_of(ratio);
+    report.estimated_error = change * left_of(ratio, 0.2);
     report.error_history.push_back(report.estimated_error);
     if (ratio > 0.5) break;
   }
@@ -410,7 +438,7 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
       const double area = terms_.area[s];
       if (!(area > 0)) continue;
       const Double4 exitance = half_inverse_factor * x.outer[s] - (reflected / area) * to_double(light.outer[s]);
-      const Double4 e = 1.5 * half_inverse_factor * z.outer[s];
+      const Double4 e = 2 * half_inverse_factor * z.outer[s];
       error += area * e * e;
       size += area * exitance * exitance;
     }

@@ -19,6 +19,7 @@ struct SolverParameters {
   double spectral_bound = 1.9;
   std::size_t coarsest_size = 400;  // unknowns that are solved directly
   double exact_below = 1e-3;        // tolerances below it take couplings in single and iterates in double precision
+  double rough_contrast = 50;       // of σ_t' over the object, beyond which conjugate gradients take over at once
   int most_cycles = 4;              // before conjugate gradients take over
   int most_iterations = 200;
 };
@@ -79,6 +80,8 @@ class DiffusionSolver {
 
   // Bytes that one pass over the finest level's couplings and vectors moves, and all that the solver holds.
   std::size_t sweep_bytes() const;
+  // Share of the error that a cycle leaves, as full multigrid measured it on the next coarser level.
+  double error_left() const { return error_left_; }
   std::size_t memory_bytes() const;
 
  private:
@@ -89,8 +92,7 @@ class DiffusionSolver {
   void full_multigrid();
   void load_light(std::size_t level, bool whole);
   void set_light(const DiffusionLight& light);
-  static double share_left(const std::vector<Float4>& start, const std::vector<Float4>& once,
-                           const std::vector<Float4>& twice);
+  static double share_left(const RunLevel& level, const std::vector<Float4>& start, const std::vector<Float4>& once);
   double exitance_change(const std::vector<Float4>& before) const;
   void solve_by_conjugate_gradients(double tolerance, SolveReport& report);
   void conserve_energy(const DiffusionLight& light);
@@ -101,6 +103,7 @@ class DiffusionSolver {
   std::vector<RunLevel> levels_;
   SurfaceTerms terms_;
   double boundary_factor_ = 1, current_reflectance_ = 0;
+  double contrast_ = 1;
   bool has_material_ = false;
   std::array<Eigen::LDLT<Eigen::MatrixXd>, 3> coarsest_;
   bool direct_ = false;
