@@ -11,6 +11,7 @@
 
 #include "meshing/core/parallel.h"
 #include "meshing/polycube/hexahedra_region.h"
+#include "meshing/polycube/layer_polish.h"
 
 namespace shellgrid {
 namespace {
@@ -32,12 +33,17 @@ constexpr double worst_link_cosine = 0.7;
 // Cells below this, and links farther off the normal than 70°, tell of folds; other links of creases as well.
 constexpr double folded_scaled_jacobian = 0.05;
 constexpr double folded_link_cosine = 0.34;
+// In the end single points are moved where cells are below this; no more cells than these.
+constexpr double polished_scaled_jacobian = 0.16;
+constexpr std::size_t most_polished_cells = 1000;
 // Larger regions are not laid anew.
 constexpr std::size_t most_restarted_cells = 5000;
 // The inner points' pull to the layer's depth, relative to the outer points' pull to the surface.
 constexpr double inner_pull = 0.02;
 // How far, in cells, a face that looks the same way as the grid is preferred to a nearer one.
 constexpr double same_side_reach = 2;
+// Links longer than this many layers are looked at for whether they leave the object.
+constexpr double sure_reach = 3;
 
 // Core and layer with the outer points still at their twins.
 LayeredGrid with_flat_layer(LatticeGrid core) {
@@ -285,6 +291,12 @@ class LayerBuilder {
         1);
   }
 
+  void polish() {
+    if (!is_valid()) return;
+    polish_worst_cells(grid_, surface_, scale_, thickness_, polished_scaled_jacobian, most_polished_cells);
+    std::fill(state_.begin(), state_.end(), OuterState::moved);
+  }
+
   // Cells of poor shape, and those at outer points that are off the surface or whose links are off its normal.
   std::vector<std::int32_t> cells_to_improve(double scaled = poor_scaled_jacobian,
                                              double link_cosine = poor_link_cosine) const {
@@ -342,6 +354,9 @@ class LayerBuilder {
         for (const TargetSurface::Nearest& choice : choices) {
           const double cost = off_normal(choice.point * scale_, choice.normal);
           if (!(cost < best - 1e-9)) continue;
+          if ((choice.point * scale_ - twin).norm() > sure_reach * thickness_ &&
+              !surface_.is_way_inside(twin / scale_, choice.point))
+            continue;
           outer_row(outer) = (choice.point * scale_).transpose();
           if (is_valid_around(outer) && least_scaled_jacobian_around(outer) > std::min(wanted, shape))
             best = cost, kept = outer_place(outer);
@@ -410,8 +425,12 @@ class LayerBuilder {
   // The surface point nearest to an outer point's twin: from there the link is along the normal.
   TargetSurface::Nearest target_of(const VertexMatrix& normals, std::size_t outer) const {
     const std::int32_t twin = grid_.twin[outer];
-    return surface_.nearest_same_side(grid_.points.row(twin).transpose() / scale_,
-                                      normals.row(twin).transpose().stableNormalized(), same_side_reach / scale_);
+    return target_of(twin, normals.row(twin).transpose());
+  }
+
+  TargetSurface::Nearest target_of(std::int32_t twin, const Vec3& normal) const {
+    return surface_.nearest_from_inside(grid_.points.row(twin).transpose() / scale_, normal.stableNormalized(),
+                                        same_side_reach / scale_, sure_reach * thickness_ / scale_);
   }
 
   // With ε for the least determinant there is: [Garanzha2021] eq. 9.
@@ -602,8 +621,7 @@ class LayerBuilder {
     optimization.plane_attractions.clear();
     for (const auto& [twin, normal] : normals) {
       const std::int32_t outer = outer_of_[twin];
-      const TargetSurface::Nearest nearest = surface_.nearest_same_side(
-          grid_.points.row(twin).transpose() / scale_, normal.stableNormalized(), same_side_reach / scale_);
+      const TargetSurface::Nearest nearest = target_of(twin, normal);
       const std::int32_t inner_point = local.at(twin);
       const std::int32_t outer_point = outer_local.at(static_cast<std::int32_t>(core_points() + outer));
       const Vec3 target = nearest.point * scale_;
@@ -673,6 +691,8 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
     builder.snap(false);
     builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
   }
+  builder.snap(false);
+  builder.polish();
   // What is still off the surface, nearly inverted or linked askew, in wider neighbourhoods.
   std::size_t left = std::numeric_limits<std::size_t>::max();
   for (int round = 0; round < last_rounds && builder.is_valid(); ++round) {
@@ -686,6 +706,7 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
     builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
   }
   builder.snap(false);
+  builder.polish();
   progress.end();
   return grid;
 }

@@ -135,10 +135,11 @@ class CellEnergy {
   using Lanes = typename Traits::Lanes;
   using Bits = typename Traits::Bits;
 
-  CellEnergy(double theta, double epsilon)
+  CellEnergy(const EnergyShares& shares, double epsilon)
       : epsilon2_(static_cast<Real>(epsilon * epsilon)),
-        shape_share_(static_cast<Real>((1 - theta) / 3)),
-        volume_share_(static_cast<Real>(0.5 * theta)) {}
+        shape_share_(static_cast<Real>((1 - shares.volume) * (1 - shares.angle) / 3)),
+        angle_share_(static_cast<Real>((1 - shares.volume) * shares.angle)),
+        volume_share_(static_cast<Real>(0.5 * shares.volume)) {}
 
   void begin(const Real* points, const Corners* const* cells, const double* stretch) {
     spread(stretch, stretch_);
@@ -166,8 +167,9 @@ class CellEnergy {
     }
     const Lanes det = e[0][0] * cross[0][0] + e[0][1] * cross[0][1] + e[0][2] * cross[0][2];
     lowest_ = (det < lowest_) & (weight > 0) ? det : lowest_;
-    Lanes trace = {};
-    for (int i = 0; i < 3; ++i) trace += e[i][0] * e[i][0] + e[i][1] * e[i][1] + e[i][2] * e[i][2];
+    Lanes squares[3];
+    for (int i = 0; i < 3; ++i) squares[i] = e[i][0] * e[i][0] + e[i][1] * e[i][1] + e[i][2] * e[i][2];
+    const Lanes trace = squares[0] + squares[1] + squares[2];
     // [Garanzha2021] eq. 4: a positive stand-in for the determinant.
     const Lanes least = Lanes{} + Traits::least_stand_in;
     Lanes root, third;
@@ -180,12 +182,18 @@ class CellEnergy {
     const Lanes inverse_chi = third * third * third;
     const Lanes shape = shape_share_ * third * third;
     const Lanes volume = volume_share_ * (Real(1) + det * det) * inverse_chi;
-    add_to_sum(weight * (shape * trace + volume), sum_);
+    Lanes product;
+    square_root(squares[0] * squares[1] * squares[2], product);
+    const Lanes angle = angle_share_ * product * inverse_chi;
+    add_to_sum(weight * (shape * trace + angle + volume), sum_);
     const Lanes edge_factor = Real(2) * weight * shape;
-    const Lanes det_factor =
-        weight * inverse_chi * (Real(2) * volume_share_ * det - (Real(2.0 / 3) * shape * trace + volume) * slope);
-    for (int i = 0; i < 3; ++i)
-      for (int axis = 0; axis < 3; ++axis) g[i][axis] = edge_factor * e[i][axis] + det_factor * cross[i][axis];
+    const Lanes det_factor = weight * inverse_chi *
+                             (Real(2) * volume_share_ * det - (Real(2.0 / 3) * shape * trace + angle + volume) * slope);
+    for (int i = 0; i < 3; ++i) {
+      const Lanes least_square = Lanes{} + Real(1e-20);
+      const Lanes factor = edge_factor + weight * angle / (squares[i] > least_square ? squares[i] : least_square);
+      for (int axis = 0; axis < 3; ++axis) g[i][axis] = factor * e[i][axis] + det_factor * cross[i][axis];
+    }
     if (place) blend(g, place);
     for (int axis = 0; axis < 3; ++axis) {
       g[2][axis] *= stretch_;
@@ -233,7 +241,7 @@ class CellEnergy {
     for (int i = 0; i < Traits::root_steps; ++i) out *= (Real(4) - x * out * out * out) * Real(1.0 / 3);
   }
 
-  const Real epsilon2_, shape_share_, volume_share_;
+  const Real epsilon2_, shape_share_, angle_share_, volume_share_;
   Lanes stretch_{}, edges_[3][3], gradient_[3];
   Lanes lowest_ = Lanes{} + std::numeric_limits<Real>::max();
   CellLanes sum_{};
@@ -396,7 +404,7 @@ double HexahedraOptimization::cell_energies(const VertexMatrix& points, double e
             for (std::size_t axis = 0; axis < 3; ++axis)
               local[stride * p + axis] =
                   static_cast<Real>(points.data()[3 * static_cast<std::size_t>(here.points[p]) + axis] - origin[axis]);
-          CellEnergy<Real> lanes(theta, epsilon);
+          CellEnergy<Real> lanes(epsilon > 0 ? folded_shares : shares, epsilon);
           for (std::size_t first = 0; first < members.size(); first += width) {
             const int count = static_cast<int>(std::min<std::size_t>(width, members.size() - first));
             const Corners* corners[width];

@@ -38,10 +38,16 @@ struct QuadAttraction {
   double weight = 0;
 };
 
+// θ and α of the energy below.
+struct EnergyShares {
+  double volume = 0, angle = 0;
+};
+
 // Moves the points of a hexahedral mesh to minimise the distortion of its cells,
-// (1 − θ) tr(JᵀJ) / (3 χ^{2/3}) + θ (1 + det²) / (2 χ), χ = (det + √(ε² + det²)) / 2, averaged over a
-// cell's corners, plus attractions. With ε = 0 a valid mesh stays valid at every step.
-// Source: [Garanzha2021] eq. 3–6.
+// (1 − θ) [(1 − α) tr(JᵀJ) / (3 χ^{2/3}) + α |J₁||J₂||J₃| / χ] + θ (1 + det²) / (2 χ), χ = (det + √(ε² + det²)) / 2,
+// averaged over a cell's corners, plus attractions. The term of share α is the inverse of the scaled Jacobian: it minds
+// angles and lets lengths differ. With ε = 0 a valid mesh stays valid at every step.
+// Source: [Garanzha2021] eq. 3–6, with the term of share α beside.
 class HexahedraOptimization {
  public:
   // `cell_lattice` (m×3) places cells into bricks that are worked on in parallel: cells of bricks that
@@ -57,7 +63,8 @@ class HexahedraOptimization {
   // and the link between them by `link_length`, so that a thin layer does not slow it.
   std::vector<std::int32_t> twin;
   double link_length = 0.1;
-  double theta = 0.2;
+  // With ε = 0, and with ε > 0, where less weight on volumes leaves folds.
+  EnergyShares shares{0.03, 0.85}, folded_shares{0.18, 0.78};
   // Twice as fast, where cells are not folded and not nearly so.
   bool single_precision = false;
   // Weight of each cell (m or empty: ones).

@@ -49,6 +49,23 @@ TargetSurface::Nearest TargetSurface::complete(const SurfacePoint& found) const 
   return result;
 }
 
+bool TargetSurface::is_way_inside(const Vec3& inside, const Vec3& point) const {
+  for (double part : {0.25, 0.5, 0.75}) {
+    const Vec3 place = inside + part * (point - inside);
+    const Nearest there = nearest(place);
+    const double height = (place - there.point).dot(there.normal);
+    if (height > 0.5 * there.distance) return false;
+  }
+  return true;
+}
+
+TargetSurface::Nearest TargetSurface::nearest_from_inside(const Vec3& place, const Vec3& facing, double limit,
+                                                          double sure) const {
+  const Nearest same_side = nearest_same_side(place, facing, limit);
+  if ((same_side.point - place).norm() <= sure || is_way_inside(place, same_side.point)) return same_side;
+  return nearest(place);
+}
+
 Vec3 TargetSurface::nearest_normal(const Vec3& place, const Vec3& direction, double tolerance) const {
   std::vector<Vec3> normals;
   for (int f : query_.faces_within(place, tolerance))

@@ -39,6 +39,13 @@ class TargetSurface {
     return found.face_index >= 0 ? complete(found) : nearest_facing(place, facing);
   }
 
+  // Whether the way from a place inside the object to one of its surface's points stays inside, judged at three places
+  // between them.
+  bool is_way_inside(const Vec3& inside, const Vec3& point) const;
+  // As `nearest_same_side` for a place inside the object; but where the way there is longer than `sure` and leaves the
+  // object, as to the other side of a gap, the nearest point of all.
+  Nearest nearest_from_inside(const Vec3& place, const Vec3& facing, double limit, double sure) const;
+
   // The unit vector nearest to `direction` in the cone of outward normals at a place of the surface: the normals of all
   // faces nearer than `tolerance` and what lies between them, so that at an edge or a corner every inward direction
   // between its faces' counts as normal. Zero where there is no face.
