@@ -450,7 +450,7 @@ class LayerBuilder {
         region_of[regions[r].points[p]] = static_cast<std::int32_t>(r);
         local[regions[r].points[p]] = static_cast<std::int32_t>(p);
       }
-    for (QuadAttraction pull : pulls(16)) {
+    for (QuadAttraction pull : pulls(48)) {
       const std::int32_t r = region_of[pull.corners[0]];
       if (r < 0) continue;
       bool here = true;

@@ -200,6 +200,10 @@ class LayerPolish {
       const Vec3 target = nearest.point * scale_;
       if ((target - here).norm() > 2 * step + surface_tolerance && k < 8) continue;
       if ((target - start_.row(p).transpose()).norm() > farthest_move) continue;
+      // A point off the surface comes nearer by parts where it cannot at once.
+      if (k == 8 && at.distance * scale_ > surface_tolerance)
+        for (double part : {0.1, 0.3, 0.6})
+          judge(Vec3(here + part * (target - here)), Vec3(inner_here + (with_twin ? part : 0) * (target - here)));
       if (!with_twin) {
         judge(target, inner_here);
         continue;
