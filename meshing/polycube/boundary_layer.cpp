@@ -170,6 +170,7 @@ class LayerBuilder {
     all.locked.assign(all.points.size(), 0);
     HexahedraOptimization optimization = optimization_of(all);
     optimization.single_precision = true;
+    optimization.folded_shares = angular_shares;
     for (int step = 0; step < steps; ++step) {
       const double part = steps > 1 ? static_cast<double>(step) / (steps - 1) : 1.0;
       attract(all, first_weight * std::pow(last_weight / first_weight, part), optimization);
@@ -680,7 +681,7 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
   builder.set_by_visible_normals();
   builder.project();
   builder.untangle();
-  builder.optimize_all(2, 25, 16, 64);
+  builder.optimize_all(3, 20, 16, 64);
   builder.untangle();
   constexpr int rounds = 3, last_rounds = 4;
   for (int round = 0; round < rounds && builder.is_valid(); ++round) {

@@ -68,6 +68,8 @@ class Embedding {
     optimization_.single_precision = true;
   }
 
+  void set_folded_shares(const EnergyShares& shares) { optimization_.folded_shares = shares; }
+
   void run(const Schedule& schedule, bool barrier, Progress& progress) {
     for (int step = 0; step < schedule.steps; ++step) {
       const double part = schedule.steps > 1 ? static_cast<double>(step) / (schedule.steps - 1) : 1.0;
@@ -354,12 +356,26 @@ LatticeGrid map_polycube(const std::vector<Vec3i>& blocks, int cells_per_block, 
     }
     const double depth = options.layer_thickness * refinement / cells_per_block;
     Embedding embedding(grid, surface, refinement, depth);
-    if (level == 0)
-      embedding.run({options.coarse_steps, options.coarse_iterations, grid_starts_near ? 16.0 : 1.0, 64}, false,
-                    progress);
-    else
-      embedding.run({options.fine_steps, options.fine_iterations, 16, 64}, false, progress);
-    if (refinement == cells_per_block && !embedding.untangle(20, options.fine_iterations)) {
+    // Most folds are made on coarse levels.
+    if (refinement == cells_per_block) embedding.set_folded_shares(angular_shares);
+    const VertexMatrix before = refinement == cells_per_block ? grid.points : VertexMatrix();
+    const auto run = [&] {
+      if (level == 0)
+        embedding.run({options.coarse_steps, options.coarse_iterations, grid_starts_near ? 16.0 : 1.0, 64}, false,
+                      progress);
+      else
+        embedding.run({options.fine_steps, options.fine_iterations, 16, 64}, false, progress);
+    };
+    run();
+    if (refinement != cells_per_block) continue;
+    bool valid = embedding.untangle(20, options.fine_iterations);
+    if (!valid) {
+      grid.points = before;
+      embedding.set_folded_shares(unfolding_shares);
+      run();
+      valid = embedding.untangle(20, options.fine_iterations);
+    }
+    if (!valid) {
       // The lattice itself is valid, and with ε = 0 it stays so.
       progress.warn(
           "the grid could not be untangled; it starts again from the lattice and keeps farther from the surface");
