@@ -3,17 +3,9 @@
 #include <vector>
 
 #include "meshing/core/progress.h"
-#include "meshing/polycube/polycube_map.h"
+#include "meshing/polycube/layered_grid.h"
 
 namespace shellgrid {
-
-// A core grid and the thin layer around it, in units of cells.
-struct LayeredGrid {
-  LatticeGrid core;
-  VertexMatrix points;                   // core points, then one outer point for each boundary point of the core
-  std::vector<std::int32_t> twin;        // of each outer point: the core point it is linked to
-  std::vector<LatticeHexahedron> layer;  // one cell a boundary quadrilateral; its third axis points outwards
-};
 
 // Adds the layer: outer points at the surface points nearest to the core's boundary, so that links run
 // along the surface's normal. Cells that this inverts, or that are inverted between their corners, are
@@ -27,8 +19,5 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
 // the result may hold inverted cells.
 LayeredGrid layer_on_lattice(const std::vector<Vec3i>& blocks, int refinement, const TargetSurface& surface,
                              double scale, double thickness);
-
-// Cells (core first, then layer) whose least Jacobian at corners or Gauss points is not positive.
-std::vector<std::int32_t> inverted_cells(const LayeredGrid& grid);
 
 }  // namespace shellgrid

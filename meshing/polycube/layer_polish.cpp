@@ -44,9 +44,8 @@ class LayerPolish {
         thickness_(thickness),
         wanted_(wanted),
         start_(grid.points),
-        cells_(grid.core.cells),
-        around_((cells_.insert(cells_.end(), grid.layer.begin(), grid.layer.end()), cells_),
-                static_cast<std::size_t>(grid.points.rows())),
+        cells_(all_cells(grid)),
+        around_(cells_, static_cast<std::size_t>(grid.points.rows())),
         outer_of_(static_cast<std::size_t>(grid.core.points.rows()), -1) {
     for (std::size_t o = 0; o < grid.twin.size(); ++o)
       outer_of_[grid.twin[o]] = static_cast<std::int32_t>(core_points() + static_cast<Eigen::Index>(o));
@@ -102,7 +101,7 @@ class LayerPolish {
     const Vec3 outer = place(std::max(p, other)), link = outer - place(std::min(p, other));
     const TargetSurface::Nearest nearest = surface_.nearest(outer / scale_);
     const double length = std::max(1e-9, link.norm());
-    sum += link_weight * squared_shortfall(link.dot(nearest.normal) / length, wanted_link_cosine);
+    sum += link_weight * squared_shortfall(link.dot(surface_.link_normal(nearest, link)) / length, wanted_link_cosine);
     const double stretch = std::log(length / thickness_);
     sum += length_weight * stretch * stretch;
     if (nearest.distance * scale_ > surface_tolerance)
@@ -115,7 +114,8 @@ class LayerPolish {
     const Vec3 outer = grid_.points.row(core_points() + static_cast<Eigen::Index>(o)).transpose();
     const Vec3 link = outer - place(grid_.twin[o]);
     const TargetSurface::Nearest nearest = surface_.nearest(outer / scale_);
-    return nearest.distance * scale_ > surface_tolerance || link.dot(nearest.normal) < steep_link_cosine * link.norm();
+    return nearest.distance * scale_ > surface_tolerance ||
+           link.dot(surface_.link_normal(nearest, link)) < steep_link_cosine * link.norm();
   }
 
   double least_around(std::int32_t p, bool with_twin) const {

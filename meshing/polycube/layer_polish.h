@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
-#include "meshing/polycube/boundary_layer.h"
+#include "meshing/polycube/layered_grid.h"
+#include "meshing/polycube/target_surface.h"
 
 namespace shellgrid {
 

@@ -162,10 +162,7 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
     const Vec3 twin = layered.points.row(layered.twin[o]).transpose() / scale;
     const TargetSurface::Nearest nearest =
         target.nearest_facing(place, normals.row(layered.twin[o]).transpose().stableNormalized());
-    // On an edge or a corner of the mesh the surface has a cone of normals: of these the link's own direction.
-    const Vec3 at_edge = target.nearest_normal(nearest.point, place - twin, 1e-6);
-    const Vec3 normal =
-        at_edge.dot(nearest.normal) > 0 && nearest.barycentric.minCoeff() < 1e-5 ? at_edge : nearest.normal;
+    const Vec3 normal = target.link_normal(nearest, place - twin);
     polygrid.point_normal.row(p) = normal.transpose();
   });
   polygrid.boundary_quads.resize(quads, 4);

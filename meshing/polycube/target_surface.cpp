@@ -50,13 +50,20 @@ TargetSurface::Nearest TargetSurface::complete(const SurfacePoint& found) const 
 }
 
 bool TargetSurface::is_way_inside(const Vec3& inside, const Vec3& point) const {
-  for (double part : {0.25, 0.5, 0.75}) {
-    const Vec3 place = inside + part * (point - inside);
+  const double length = (point - inside).norm(), least_step = 0.02 * length;
+  for (double way = 0; way < length - least_step;) {
+    const Vec3 place = inside + way / length * (point - inside);
     const Nearest there = nearest(place);
-    const double height = (place - there.point).dot(there.normal);
-    if (height > 0.5 * there.distance) return false;
+    if ((place - there.point).dot(there.normal) > 0.5 * there.distance) return false;
+    way += std::max(least_step, there.distance);
   }
   return true;
+}
+
+Vec3 TargetSurface::link_normal(const Nearest& nearest, const Vec3& link) const {
+  if (nearest.barycentric.minCoeff() >= 1e-5) return nearest.normal;
+  const Vec3 at_edge = nearest_normal(nearest.point, link, 1e-6);
+  return at_edge.dot(nearest.normal) > 0 ? at_edge : nearest.normal;
 }
 
 TargetSurface::Nearest TargetSurface::nearest_from_inside(const Vec3& place, const Vec3& facing, double limit,

@@ -39,8 +39,8 @@ class TargetSurface {
     return found.face_index >= 0 ? complete(found) : nearest_facing(place, facing);
   }
 
-  // Whether the way from a place inside the object to one of its surface's points stays inside, judged at three places
-  // between them.
+  // Whether the way from a place inside the object to one of its surface's points stays inside; gaps narrower than a
+  // fiftieth of it may go unseen.
   bool is_way_inside(const Vec3& inside, const Vec3& point) const;
   // As `nearest_same_side` for a place inside the object; but where the way there is longer than `sure` and leaves the
   // object, as to the other side of a gap, the nearest point of all.
@@ -50,6 +50,10 @@ class TargetSurface {
   // faces nearer than `tolerance` and what lies between them, so that at an edge or a corner every inward direction
   // between its faces' counts as normal. Zero where there is no face.
   Vec3 nearest_normal(const Vec3& place, const Vec3& direction, double tolerance) const;
+
+  // The normal that a link to a point of the surface is measured by: on an edge or a corner of the mesh the surface has
+  // a cone of normals, of these the link's own direction.
+  Vec3 link_normal(const Nearest& nearest, const Vec3& link) const;
 
   const TriangleMesh& mesh() const { return mesh_; }
   // `count` points spread evenly by area: midpoints of a systematic walk over the faces.
