@@ -174,9 +174,10 @@ class BodyWalk {
     if (was_in_matter != will_be_in_matter) {
       tally_.note(PathEvent::boundary_meetings);
       const double relative_ior = was_in_matter ? 1 / body_.ior : body_.ior;
-      const bool against = crossing_.normal.dot(path.direction) < 0;
-      const Vec3 normal = against ? crossing_.normal : Vec3(-crossing_.normal);
-      const double cosine = std::min(1.0, -normal.dot(path.direction));
+      // Against the light; at grazing angles rounding must not turn it round.
+      const bool outwards = path.inside[static_cast<int>(crossing_.surface)];
+      const Vec3 normal = outwards ? Vec3(-crossing_.normal) : crossing_.normal;
+      const double cosine = std::clamp(-normal.dot(path.direction), 0.0, 1.0);
       const BoundaryMeeting meeting = meet_boundary(cosine, relative_ior);
       if (meeting.reflectance > 0 && path.random.next() < meeting.reflectance) {
         path.direction = mirrored(path.direction, normal, cosine);

@@ -14,7 +14,7 @@ struct LightPath {
   Vec3 point = Vec3::Zero(), direction = Vec3(0, 0, 1);  // mm; unit, in which it travels
   Double4 weight = {};
   std::array<bool, 2> inside = {};  // of which surface, by SurfaceKind
-  std::uint32_t voxel = 0;          // of the last collision, for a medium of voxels
+  std::uint32_t matter = 0;         // of the last collision, for a medium of voxels
   bool entered = false;             // has been in matter since it last came from outside
   std::uint64_t events = 0, next_limit = event_limit;
 

@@ -4,10 +4,13 @@
 #include <fmt/format.h>
 
 #include <array>
+#include <bit>
+#include <map>
+#include <unordered_map>
 #include <unordered_set>
 
 #include "meshing/core/error.h"
-#include "meshing/core/parallel.h"
+#include "meshing/core/random.h"
 #include "solvers/transport/homogeneous_medium.h"
 
 namespace shellgrid {
@@ -143,7 +146,39 @@ class Sources {
   std::vector<Vec3i> around_, free_, outer_free_;
 };
 
-bool same(Float4 a, Float4 b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2] && a[3] == b[3]; }
+// Gives equal matter one index.
+class MatterList {
+ public:
+  using Key = std::array<std::uint32_t, 10>;
+  std::uint32_t index_of(const Material& material, bool is_core) {
+    Key key{};
+    for (std::size_t c = 0; c < 3; ++c) {
+      key[c] = std::bit_cast<std::uint32_t>(material.extinction[c]);
+      key[3 + c] = std::bit_cast<std::uint32_t>(material.albedo[c]);
+      key[6 + c] = std::bit_cast<std::uint32_t>(material.anisotropy[c]);
+    }
+    key[9] = is_core;
+    const auto [at, added] = index_.try_emplace(key, static_cast<std::uint32_t>(materials_.size()));
+    if (added) {
+      naming("shell", [&] { check_transport_material(material); });
+      materials_.emplace_back(material, is_core);
+    }
+    return at->second;
+  }
+  const std::vector<std::pair<Material, bool>>& materials() const { return materials_; }
+
+ private:
+  struct Hash {
+    std::size_t operator()(const Key& key) const {
+      std::uint64_t hash = 0;
+      for (std::size_t k = 0; k < key.size(); k += 2)
+        hash = hash64(hash ^ (static_cast<std::uint64_t>(key[k]) << 32 | key[k + 1]));
+      return hash;
+    }
+  };
+  std::unordered_map<Key, std::uint32_t, Hash> index_;
+  std::vector<std::pair<Material, bool>> materials_;  // and whether it is the core's
+};
 
 }  // namespace
 
@@ -158,61 +193,44 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
   origin_ = shell.frame.origin + voxel_ * (8.0 * grid.lower_leaf().cast<double>() - Vec3::Constant(0.5));
   top_.assign(grid.top_cells(), grid.top_cells() + static_cast<std::size_t>(count_.x()) * count_.y() * count_.z());
 
-  const auto optics = [](const Rgb& albedo, const Rgb& anisotropy, bool is_core, Float4& albedo_out, Float4& g_out) {
-    const ScatteringPlace place = scattering_place(albedo, anisotropy, 0);
-    albedo_out = to_lanes(albedo);
-    albedo_out[3] = (place.white ? 1.0f : 0.0f) + (is_core ? 2.0f : 0.0f);
-    g_out = to_lanes(anisotropy);
-    g_out[3] = place.one_anisotropy ? 1.0f : 0.0f;
+  MatterList list;
+  list.index_of(shell.core, true);
+  const auto matter_of = [&](std::int32_t source) {
+    if (source == core_source) return std::uint32_t{0};
+    if (source == space_source) return list.index_of(Material(), false);
+    const int leaf = source / 512, offset = source % 512;
+    return list.index_of(
+        {shell.extinction.leaf_values(leaf)[offset].array(), shell.albedo.leaf_values(leaf)[offset].array(),
+         shell.anisotropy.leaf_values(leaf)[offset].array()},
+        false);
   };
-  const auto add_voxel = [&](std::int32_t source) {
-    Float4 albedo, anisotropy;
-    if (source == core_source || source == space_source) {
-      extinction_.push_back(source == core_source ? to_lanes(shell.core.extinction) : Float4{});
-      optics(source == core_source ? shell.core.albedo : Rgb(Rgb::Zero()), shell.core.anisotropy, source == core_source,
-             albedo, anisotropy);
-    } else {
-      const int leaf = source / 512, offset = source % 512;
-      const Material material{shell.extinction.leaf_values(leaf)[offset].array(),
-                              shell.albedo.leaf_values(leaf)[offset].array(),
-                              shell.anisotropy.leaf_values(leaf)[offset].array()};
-      naming("shell", [&] { check_transport_material(material); });
-      extinction_.push_back(to_lanes(material.extinction));
-      optics(material.albedo, material.anisotropy, false, albedo, anisotropy);
-    }
-    albedo_.push_back(albedo);
-    anisotropy_.push_back(anisotropy);
-  };
-  add_voxel(core_source);
 
   ClearanceGrid clearance(origin_, origin_ + 8 * voxel_ * count_.cast<double>(),
                           std::clamp(4 * count_.maxCoeff(), 1, clearance_cells));
   for (int index = 0; index < grid.leaf_count(); ++index) {
     Leaf leaf;
-    leaf.first = static_cast<std::uint32_t>(extinction_.size());
+    leaf.first = static_cast<std::uint32_t>(voxels_.size());
     const std::int32_t* const values = grid.leaf_values(index);
-    for (int offset = 0; offset < 512; ++offset) add_voxel(values[offset]);
-    // Uniform: one voxel stands for all. Else from voxel to voxel, unless collisions of the majorant are rare and most
-    // of them real.
+    // Uniform: without look-ups. Else from voxel to voxel, unless collisions of the majorant are rare and most of them
+    // real.
     bool uniform = true;
     double sum = 0;
-    for (std::size_t v = leaf.first; v < extinction_.size(); ++v) {
-      uniform = uniform && same(extinction_[v], extinction_[leaf.first]) && same(albedo_[v], albedo_[leaf.first]) &&
-                same(anisotropy_[v], anisotropy_[leaf.first]);
-      for (int c = 0; c < 3; ++c) {
-        leaf.majorant = std::max(leaf.majorant, extinction_[v][c]);
-        sum += extinction_[v][c];
-      }
+    for (int offset = 0; offset < 512; ++offset) {
+      voxels_.push_back(matter_of(values[offset]));
+      uniform = uniform && voxels_.back() == voxels_[leaf.first];
+      const Rgb& extinction = list.materials()[voxels_.back()].first.extinction;
+      leaf.majorant = std::max(leaf.majorant, extinction.maxCoeff());
+      sum += extinction.sum();
     }
     const double mean = sum / (3 * 512);
     leaf.method = uniform                                                      ? LeafMethod::uniform
                   : leaf.majorant * voxel_ < 0.1 && mean > 0.5 * leaf.majorant ? LeafMethod::delta
                                                                                : LeafMethod::voxels;
-    if (method && !(*method == LeafMethod::uniform) && leaf.majorant > 0) leaf.method = *method;
+    if (method && *method != LeafMethod::uniform && leaf.majorant > 0) leaf.method = *method;
     if (leaf.method == LeafMethod::uniform) {
-      extinction_.resize(leaf.first + 1);
-      albedo_.resize(leaf.first + 1);
-      anisotropy_.resize(leaf.first + 1);
+      const std::uint32_t only = voxels_[leaf.first];
+      voxels_.resize(leaf.first);
+      leaf.first = only;
       ++methods_.uniform;
     } else {
       ++(leaf.method == LeafMethod::voxels ? methods_.voxels : methods_.delta);
@@ -220,6 +238,22 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
     leaves_.push_back(leaf);
     const Vec3 lower = origin_ + 8 * voxel_ * (grid.leaf_coordinate(index) - grid.lower_leaf()).cast<double>();
     clearance.add_box(lower, lower + Vec3::Constant(8 * voxel_));
+  }
+  std::map<std::array<float, 3>, std::size_t> places;
+  for (const auto& [material, is_core] : list.materials()) {
+    const ScatteringPlace place = scattering_place(material.albedo, material.anisotropy, 0);
+    Float4 anisotropy = to_lanes(material.anisotropy);
+    anisotropy[3] = place.one_anisotropy ? 1.0f : 0.0f;
+    const auto [found, added] =
+        places.try_emplace(std::array<float, 3>{anisotropy[0], anisotropy[1], anisotropy[2]}, anisotropy_.size());
+    if (added) anisotropy_.push_back(anisotropy);
+    const std::size_t at = found->second;
+    if (at >= std::size_t{1} << 22) throw InputError("shell: more than 4 million different anisotropies");
+    Matter matter;
+    matter.extinction = to_lanes(material.extinction);
+    matter.albedo = to_lanes(material.albedo);
+    matter.albedo[3] = static_cast<float>((place.white ? 1 : 0) + (is_core ? 2 : 0) + 4 * at);
+    matter_.push_back(matter);
   }
   clearance.finish();
   core_clearance_ = std::move(clearance);

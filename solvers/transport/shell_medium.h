@@ -46,19 +46,26 @@ class ShellMedium {
 
   ScatteringPlace place(const LightPath& path) const {
     ScatteringPlace place;
-    const Double4 albedo = to_double(albedo_[path.voxel]), anisotropy = to_double(anisotropy_[path.voxel]);
-    const auto flags = static_cast<int>(albedo[3]);
-    place.white = flags & 1;
+    const Float4 albedo = matter_[path.matter].albedo;
+    const auto code = static_cast<std::uint32_t>(albedo[3]);
+    const Float4 anisotropy = anisotropy_[code >> 2];
+    place.white = code & 1;
+    place.region = code & 2 ? 0 : 1;
     place.one_anisotropy = anisotropy[3] != 0;
-    place.albedo = Double4{albedo[0], albedo[1], albedo[2], 0};
-    place.anisotropy = Double4{anisotropy[0], anisotropy[1], anisotropy[2], 0};
-    place.region = flags & 2 ? 0 : 1;
+    place.albedo = to_double(albedo);
+    place.anisotropy = to_double(anisotropy);
+    place.albedo[3] = place.anisotropy[3] = 0;
     return place;
   }
 
  private:
+  // One kind of matter; voxels name theirs. Many voxels share one, so that all of them stay in the processor's caches.
+  struct Matter {
+    Float4 extinction = {};
+    Float4 albedo = {};  // the last lane: 1 white + 2 core + 4 · index of the anisotropy
+  };
   struct Leaf {
-    std::uint32_t first = 0;  // of its voxels, or its one voxel
+    std::uint32_t first = 0;  // of its voxels; of a uniform one its matter
     LeafMethod method = LeafMethod::uniform;
     float majorant = 0;  // mm⁻¹
   };
@@ -85,7 +92,7 @@ class ShellMedium {
     }
   };
 
-  bool cross_uniform(LightPath& path, Flight& flight, std::uint32_t voxel, double& t, double end) const;
+  bool cross_uniform(LightPath& path, Flight& flight, std::uint32_t matter, double& t, double end) const;
   bool cross_voxels(LightPath& path, Flight& flight, const Leaf& leaf, const Vec3& corner, const Vec3& origin,
                     const Vec3& direction, double& t, double end, std::uint64_t& steps) const;
   bool cross_delta(LightPath& path, Flight& flight, const Leaf& leaf, const Vec3& corner, const Vec3& origin,
@@ -96,18 +103,19 @@ class ShellMedium {
   Vec3i count_ = Vec3i::Zero();    // leaves
   std::vector<std::int32_t> top_;  // −1: core
   std::vector<Leaf> leaves_;
-  std::vector<Float4> extinction_, albedo_,
-      anisotropy_;                // voxel 0 is the core; last lanes: white + 2·core, one for all
-  ClearanceGrid core_clearance_;  // from leaves
+  std::vector<std::uint32_t> voxels_;  // matter of each
+  std::vector<Matter> matter_;         // the core's first
+  std::vector<Float4> anisotropy_;     // the last lane: 1 the same in all channels
+  ClearanceGrid core_clearance_;       // from leaves
   LeafMethodCounts methods_;
 };
 
 // Inner loops --------------------------------------------------------------------------------------------------------
 
-inline bool ShellMedium::cross_uniform(LightPath& path, Flight& flight, std::uint32_t voxel, double& t,
+inline bool ShellMedium::cross_uniform(LightPath& path, Flight& flight, std::uint32_t matter, double& t,
                                        double end) const {
   if (!flight.drawn) flight.draw(path);
-  const Double4 sigma = to_double(extinction_[voxel]);
+  const Double4 sigma = to_double(matter_[matter].extinction);
   const double hero = sigma[flight.channel], length = end - t;
   if (hero * length < flight.left || !(hero > 0)) {
     if (length < std::numeric_limits<double>::infinity()) {
@@ -120,7 +128,7 @@ inline bool ShellMedium::cross_uniform(LightPath& path, Flight& flight, std::uin
   const double step = flight.left / hero;
   flight.gone += sigma * step;
   flight.collide(path, sigma);
-  path.voxel = voxel;
+  path.matter = matter;
   t += step;
   return true;
 }
@@ -147,7 +155,8 @@ inline bool ShellMedium::cross_voxels(LightPath& path, Flight& flight, const Lea
     step[axis] = d > 0 ? stride[axis] : -stride[axis];
     left[axis] = d > 0 ? 7 - cell : cell;
   }
-  const Float4* const extinction = extinction_.data() + leaf.first;
+  const std::uint32_t* const voxels = voxels_.data() + leaf.first;
+  const Matter* const matter = matter_.data();
   const int channel = flight.channel;
   double remaining = flight.left;
   Double4 gone = flight.gone;
@@ -156,13 +165,13 @@ inline bool ShellMedium::cross_voxels(LightPath& path, Flight& flight, const Lea
     const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
     const bool last = left[axis] == 0 || next[axis] >= end;
     const double to = last ? end : std::max(next[axis], t), length = to - t;
-    const Double4 sigma = to_double(extinction[at]);
+    const Double4 sigma = to_double(matter[voxels[at]].extinction);
     const double hero = sigma[channel];
     if (hero * length >= remaining && hero > 0) {
       const double stop = remaining / hero;
       flight.gone = gone + sigma * stop;
       flight.collide(path, sigma);
-      path.voxel = leaf.first + static_cast<std::uint32_t>(at);
+      path.matter = voxels[at];
       t += stop;
       return true;
     }
@@ -197,11 +206,11 @@ inline bool ShellMedium::cross_delta(LightPath& path, Flight& flight, const Leaf
     for (int axis = 0; axis < 3; ++axis)
       at =
           8 * at + std::clamp(static_cast<int>((origin[axis] + t * direction[axis] - corner[axis]) * per_voxel_), 0, 7);
-    const std::uint32_t voxel = leaf.first + static_cast<std::uint32_t>(at);
-    const Double4 sigma = to_double(extinction_[voxel]), real = path.weight * sigma;
+    const std::uint32_t matter = voxels_[leaf.first + static_cast<std::uint32_t>(at)];
+    const Double4 sigma = to_double(matter_[matter].extinction), real = path.weight * sigma;
     if (path.random.next() * majorant * lane_sum(path.weight) < lane_sum(real)) {
       path.weight = reweighted(path.weight, real);
-      path.voxel = voxel;
+      path.matter = matter;
       return true;
     }
     path.weight = reweighted(path.weight, path.weight * (lane_broadcast(majorant) - sigma));
@@ -216,12 +225,12 @@ bool ShellMedium::fly(LightPath& path, double clearance, const Ahead& ahead, Tal
   const double core = core_clearance_.at(path.point);
   if (core > 0) {
     flight.draw(path);
-    const Double4 sigma = to_double(extinction_[0]);
+    const Double4 sigma = to_double(matter_[0].extinction);
     const double free = flight.left / sigma[flight.channel];
     if (free < std::min(core, clearance)) {
       flight.gone = sigma * free;
       flight.collide(path, sigma);
-      path.voxel = 0;
+      path.matter = 0;
       path.point += free * path.direction;
       return true;
     }
@@ -238,8 +247,9 @@ bool ShellMedium::fly(LightPath& path, double clearance, const Ahead& ahead, Tal
     next[axis] = d == 0 ? infinite : ((cell[axis] + (d > 0 ? 1 : 0)) * leaf_edge - local[axis]) / d;
     interval[axis] = d == 0 ? infinite : leaf_edge / std::abs(d);
   }
-  double t = 0, wall = clearance;
-  bool asked = false;
+  // How far it is known that nothing is, or where the surface is; asked for little by little: short rays are cheap.
+  double t = 0, wall = clearance, asking = voxel_;
+  bool found = false;
   std::uint64_t steps = 0, nulls = 0;
   bool collides = false;
   for (;;) {
@@ -267,11 +277,20 @@ bool ShellMedium::fly(LightPath& path, double clearance, const Ahead& ahead, Tal
             collides = cross_delta(path, flight, leaf, corner, origin, direction, t, end, nulls);
         }
       }
-      if (collides || wall >= leaf_end || asked) break;
-      asked = true;
-      wall = ahead(infinite);
+      if (collides || found || wall >= leaf_end) break;
+      if (!(t < infinite)) break;
+      if (flight.drawn && index >= 0) {
+        const Leaf& leaf = leaves_[static_cast<std::size_t>(index)];
+        const std::uint32_t matter = leaf.method == LeafMethod::uniform ? leaf.first : voxels_[leaf.first];
+        const double hero = matter_[matter].extinction[flight.channel];
+        if (hero > 0) asking = std::max(asking, 2 * flight.left / hero);
+      }
+      const double limit = asking < 64 * voxel_ ? t + asking : infinite, crossing = ahead(limit);
+      found = crossing <= limit;
+      wall = found ? crossing : limit;
+      asking *= 4;
     }
-    if (collides || (asked && wall <= leaf_end)) break;
+    if (collides || (found && wall <= leaf_end) || !(t < infinite)) break;
     t = std::max(t, leaf_end);
     next[axis] += interval[axis];
     cell[axis] += direction[axis] > 0 ? 1 : -1;

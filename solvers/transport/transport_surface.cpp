@@ -30,17 +30,18 @@ struct Shape {
 // What a query tells the filter.
 struct Context {
   RTCIntersectContext base;
-  Vec3 direction;
+  float direction[3];
   bool inside[2];
 };
 
 // Keeps hits on faces that the light may cross in its direction.
 void keep_crossings(const RTCFilterFunctionNArguments* arguments) {
   const auto* context = reinterpret_cast<const Context*>(arguments->context);
-  const auto* shape = static_cast<const Shape*>(arguments->geometryUserPtr);
-  const unsigned face = RTCHitN_primID(arguments->hit, arguments->N, 0);
   const unsigned geometry = RTCHitN_geomID(arguments->hit, arguments->N, 0);
-  const double cosine = context->direction.dot(shape->facets[face].normal);
+  // Counter-clockwise faces have Embree's normal on their outside.
+  const float cosine = context->direction[0] * RTCHitN_Ng_x(arguments->hit, arguments->N, 0) +
+                       context->direction[1] * RTCHitN_Ng_y(arguments->hit, arguments->N, 0) +
+                       context->direction[2] * RTCHitN_Ng_z(arguments->hit, arguments->N, 0);
   if (!(context->inside[geometry] ? cosine > 0 : cosine < 0)) arguments->valid[0] = 0;
 }
 
@@ -81,7 +82,6 @@ struct TransportSurface::Impl {
       shape.facets.push_back({a, ab, ac, length > 0 ? Vec3(area / length) : Vec3::Zero()});
     }
     rtcSetGeometryMask(geometry, static_cast<unsigned>(-1));
-    rtcSetGeometryUserData(geometry, &shape);
     rtcSetGeometryIntersectFilterFunction(geometry, keep_crossings);
     rtcCommitGeometry(geometry);
     rtcAttachGeometryByID(scene, geometry, id);
@@ -152,7 +152,7 @@ bool TransportSurface::next(const Vec3& origin, const Vec3& direction, double li
   query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
   Context context;
   rtcInitIntersectContext(&context.base);
-  context.direction = direction;
+  for (int axis = 0; axis < 3; ++axis) context.direction[axis] = static_cast<float>(direction[axis]);
   context.inside[0] = inside[0];
   context.inside[1] = inside[1];
   rtcIntersect1(impl.scene, &context.base, &query);
