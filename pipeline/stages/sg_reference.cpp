@@ -250,7 +250,8 @@ TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const
   run.results()["leaves"] = {{"uniform", leaves.uniform},
                              {"voxels", leaves.voxels},
                              {"delta", leaves.delta},
-                             {"without", leaves.without_leaf}};
+                             {"without", leaves.without_leaf},
+                             {"one_majorant", leaves.one_majorant}};
   run.results()["free_space_faces"] = object.free_space().face_count();
   return object;
 }

@@ -54,8 +54,11 @@ class BodyWalk {
       return false;
     }
     tally_.note(PathEvent::rays);
-    const bool found =
-        body_.surface.next(path.point + approach * path.direction, path.direction, infinite, path.inside, crossing_);
+    // Sheets thinner than rounding would be left and entered for ever.
+    const bool stuck = crossings_on_the_spot_ > most_on_the_spot;
+    const bool found = body_.surface.next(path.point + approach * path.direction, path.direction, infinite, path.inside,
+                                          crossing_, !stuck);
+    if (stuck) crossings_on_the_spot_ = 0;
     if (outside) visitor_.outside(path, found ? approach + crossing_.distance : infinite);
     if (!found && !outside) {
       tally_.note(PathEvent::lost);
@@ -161,6 +164,7 @@ class BodyWalk {
   bool meet(LightPath& path) {
     const bool outer = crossing_.surface == SurfaceKind::outer, from_outside = !path.inside[0];
     const bool was_in_matter = path.in_matter();
+    crossings_on_the_spot_ = crossing_.distance <= body_.surface.tolerance() ? crossings_on_the_spot_ + 1 : 0;
     path.point = crossing_.point;
     std::array<bool, 2> beyond = path.inside;
     beyond[static_cast<int>(crossing_.surface)] = !beyond[static_cast<int>(crossing_.surface)];
@@ -210,7 +214,9 @@ class BodyWalk {
   const Medium& medium_;
   Visitor& visitor_;
   ChunkTally& tally_;
+  static constexpr int most_on_the_spot = 8;
   Crossing crossing_, entrance_;
+  int crossings_on_the_spot_ = 0;
 };
 
 }  // namespace shellgrid

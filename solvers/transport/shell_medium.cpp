@@ -18,6 +18,9 @@ namespace {
 
 constexpr std::int32_t core_source = -1, space_source = -2;
 constexpr int clearance_cells = 128;
+// Delta tracking where a greater share of the majorant's collisions is real and a voxel has fewer of them: in a leaf,
+// and with one majorant for all.
+constexpr double mild = 0.5, leaf_collisions = 1, thin_collisions = 0.1;
 
 // The 26 voxels about one, nearest first.
 std::vector<Vec3i> neighbours() {
@@ -207,12 +210,13 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
 
   ClearanceGrid clearance(origin_, origin_ + 8 * voxel_ * count_.cast<double>(),
                           std::clamp(4 * count_.maxCoeff(), 1, clearance_cells));
+  majorant_ = shell.core.extinction.maxCoeff();
+  double least_mean = shell.core.extinction.mean();
   for (int index = 0; index < grid.leaf_count(); ++index) {
     Leaf leaf;
     leaf.first = static_cast<std::uint32_t>(voxels_.size());
     const std::int32_t* const values = grid.leaf_values(index);
-    // Uniform: without look-ups. Else from voxel to voxel, unless collisions of the majorant are rare and most of them
-    // real.
+    // Uniform: without look-ups. Else from voxel to voxel, unless most collisions of the majorant are real.
     bool uniform = true;
     double sum = 0;
     for (int offset = 0; offset < 512; ++offset) {
@@ -223,9 +227,11 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
       sum += extinction.sum();
     }
     const double mean = sum / (3 * 512);
-    leaf.method = uniform                                                      ? LeafMethod::uniform
-                  : leaf.majorant * voxel_ < 0.1 && mean > 0.5 * leaf.majorant ? LeafMethod::delta
-                                                                               : LeafMethod::voxels;
+    majorant_ = std::max<double>(majorant_, leaf.majorant);
+    least_mean = std::min(least_mean, mean);
+    leaf.method = uniform                                                                   ? LeafMethod::uniform
+                  : leaf.majorant * voxel_ < leaf_collisions && mean > mild * leaf.majorant ? LeafMethod::delta
+                                                                                            : LeafMethod::voxels;
     if (method && *method != LeafMethod::uniform && leaf.majorant > 0) leaf.method = *method;
     if (leaf.method == LeafMethod::uniform) {
       const std::uint32_t only = voxels_[leaf.first];
@@ -257,6 +263,8 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
   }
   clearance.finish();
   core_clearance_ = std::move(clearance);
+  thin_ = !method && methods_.delta > 0 && majorant_ * voxel_ < thin_collisions && least_mean > mild * majorant_;
+  methods_.one_majorant = thin_;
   methods_.without_leaf = top_.size() - leaves_.size();
 }
 

@@ -25,6 +25,7 @@ enum class LeafMethod : std::uint8_t {
 
 struct LeafMethodCounts {
   std::size_t uniform = 0, voxels = 0, delta = 0, without_leaf = 0;
+  bool one_majorant = false;  // so thin that one majorant serves all
 };
 
 // Voxel (i, j, k) fills the cube about its sample. Where there is none the core is. Voxels just outside the object, and
@@ -92,6 +93,9 @@ class ShellMedium {
     }
   };
 
+  double expected_way(LightPath& path, Flight& flight, std::int32_t index) const;
+  template <class Ahead, class Tally>
+  bool fly_thin(LightPath& path, double clearance, const Ahead& ahead, Tally& tally) const;
   bool cross_uniform(LightPath& path, Flight& flight, std::uint32_t matter, double& t, double end) const;
   bool cross_voxels(LightPath& path, Flight& flight, const Leaf& leaf, const Vec3& corner, const Vec3& origin,
                     const Vec3& direction, double& t, double end, std::uint64_t& steps) const;
@@ -106,6 +110,8 @@ class ShellMedium {
   std::vector<std::uint32_t> voxels_;  // matter of each
   std::vector<Matter> matter_;         // the core's first
   std::vector<Float4> anisotropy_;     // the last lane: 1 the same in all channels
+  double majorant_ = 0;                // of all, mm⁻¹
+  bool thin_ = false;                  // all by delta tracking below it
   ClearanceGrid core_clearance_;       // from leaves
   LeafMethodCounts methods_;
 };
@@ -218,8 +224,62 @@ inline bool ShellMedium::cross_delta(LightPath& path, Flight& flight, const Leaf
   }
 }
 
+// How far a flight may go, mm: to its collision if all was like here.
+inline double ShellMedium::expected_way(LightPath& path, Flight& flight, std::int32_t index) const {
+  std::uint32_t matter = 0;
+  if (index >= 0) {
+    const Leaf& leaf = leaves_[static_cast<std::size_t>(index)];
+    if (leaf.method == LeafMethod::delta) return 1 / leaf.majorant;
+    matter = leaf.method == LeafMethod::uniform ? leaf.first : voxels_[leaf.first];
+  }
+  if (!flight.drawn) flight.draw(path);
+  return flight.left / std::max<double>(1e-30, matter_[matter].extinction[flight.channel]);
+}
+
+// Delta tracking below the majorant of all: where collisions are rare everywhere, leaves are not worth a step.
+template <class Ahead, class Tally>
+bool ShellMedium::fly_thin(LightPath& path, double clearance, const Ahead& ahead, Tally& tally) const {
+  double t = 0, wall = clearance;
+  bool found = false;
+  const Vec3 local = (path.point - origin_) * per_voxel_, step = path.direction * per_voxel_;
+  for (;;) {
+    t += path.random.exponential() / majorant_;
+    if (t >= wall && !found) {
+      const double crossing = ahead(t);
+      found = crossing <= t;
+      wall = found ? crossing : t;
+    }
+    if (found && t >= wall) return false;
+    int voxel[3];
+    for (int axis = 0; axis < 3; ++axis) voxel[axis] = static_cast<int>(std::floor(local[axis] + t * step[axis]));
+    const int x = voxel[0] >> 3, y = voxel[1] >> 3, z = voxel[2] >> 3;
+    const bool within = static_cast<unsigned>(x) < static_cast<unsigned>(count_.x()) &&
+                        static_cast<unsigned>(y) < static_cast<unsigned>(count_.y()) &&
+                        static_cast<unsigned>(z) < static_cast<unsigned>(count_.z());
+    const std::int32_t index = within ? top_[(static_cast<std::size_t>(x) * count_.y() + y) * count_.z() + z] : -1;
+    std::uint32_t matter = 0;
+    if (index >= 0) {
+      const Leaf& leaf = leaves_[static_cast<std::size_t>(index)];
+      matter = leaf.method == LeafMethod::uniform
+                   ? leaf.first
+                   : voxels_[leaf.first +
+                             static_cast<std::uint32_t>((voxel[0] & 7) << 6 | (voxel[1] & 7) << 3 | (voxel[2] & 7))];
+    }
+    const Double4 sigma = to_double(matter_[matter].extinction), real = path.weight * sigma;
+    if (path.random.next() * majorant_ * lane_sum(path.weight) < lane_sum(real)) {
+      path.weight = reweighted(path.weight, real);
+      path.matter = matter;
+      path.point += t * path.direction;
+      return true;
+    }
+    path.weight = reweighted(path.weight, path.weight * (lane_broadcast(majorant_) - sigma));
+    tally.note(PathEvent::null_collisions);
+  }
+}
+
 template <class Ahead, class Tally>
 bool ShellMedium::fly(LightPath& path, double clearance, const Ahead& ahead, Tally& tally) const {
+  if (thin_) return fly_thin(path, clearance, ahead, tally);
   constexpr double infinite = std::numeric_limits<double>::infinity();
   Flight flight;
   const double core = core_clearance_.at(path.point);
@@ -279,12 +339,7 @@ bool ShellMedium::fly(LightPath& path, double clearance, const Ahead& ahead, Tal
       }
       if (collides || found || wall >= leaf_end) break;
       if (!(t < infinite)) break;
-      if (flight.drawn && index >= 0) {
-        const Leaf& leaf = leaves_[static_cast<std::size_t>(index)];
-        const std::uint32_t matter = leaf.method == LeafMethod::uniform ? leaf.first : voxels_[leaf.first];
-        const double hero = matter_[matter].extinction[flight.channel];
-        if (hero > 0) asking = std::max(asking, 2 * flight.left / hero);
-      }
+      asking = std::max(asking, 2 * expected_way(path, flight, index));
       const double limit = asking < 64 * voxel_ ? t + asking : infinite, crossing = ahead(limit);
       found = crossing <= limit;
       wall = found ? crossing : limit;

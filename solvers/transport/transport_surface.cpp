@@ -17,7 +17,7 @@
 namespace shellgrid {
 namespace {
 
-constexpr double relative_tolerance = 2e-6;
+constexpr double relative_tolerance = 3e-7;
 
 struct Facet {
   Vec3 a, ab, ac, normal;  // unit, or zero where the face has no area
@@ -131,9 +131,9 @@ double TransportSurface::radius() const { return impl_->radius; }
 double TransportSurface::tolerance() const { return relative_tolerance * impl_->scale; }
 
 bool TransportSurface::next(const Vec3& origin, const Vec3& direction, double limit, const std::array<bool, 2>& inside,
-                            Crossing& crossing) const {
+                            Crossing& crossing, bool before) const {
   const Impl& impl = *impl_;
-  const Vec3 start = (origin - impl.centre) / impl.scale - relative_tolerance * direction;
+  const Vec3 start = (origin - impl.centre) / impl.scale - (before ? 1 : -1) * relative_tolerance * direction;
   RTCRayHit query;
   query.ray.org_x = static_cast<float>(start.x());
   query.ray.org_y = static_cast<float>(start.y());
@@ -143,7 +143,7 @@ bool TransportSurface::next(const Vec3& origin, const Vec3& direction, double li
   query.ray.dir_z = static_cast<float>(direction.z());
   query.ray.time = 0;
   query.ray.tnear = 0;
-  query.ray.tfar = static_cast<float>(limit / impl.scale + relative_tolerance);
+  query.ray.tfar = static_cast<float>(limit / impl.scale + (before ? 1 : -1) * relative_tolerance);
   query.ray.mask = static_cast<unsigned>(-1);
   query.ray.id = 0;
   query.ray.flags = 0;

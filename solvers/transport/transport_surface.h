@@ -32,13 +32,14 @@ class TransportSurface {
   TransportSurface(TransportSurface&&) noexcept;
   TransportSurface& operator=(TransportSurface&&) noexcept;
 
-  // The nearest crossing not farther than `limit` along `direction` (unit). `inside` by SurfaceKind.
+  // The nearest crossing not farther than `limit` along `direction` (unit). `inside` by SurfaceKind. Where `before` is
+  // false the ray begins a little after its origin instead of a little before it.
   bool next(const Vec3& origin, const Vec3& direction, double limit, const std::array<bool, 2>& inside,
-            Crossing& crossing) const;
+            Crossing& crossing, bool before = true) const;
 
   const Vec3& centre() const;  // of the outer surface's bounding box
   double radius() const;       // of a sphere about it that holds both surfaces, mm
-  // How far before its start a ray begins, mm: 2e-6 of the object's longest side.
+  // How far before its start a ray begins, mm: 3e-7 of the object's longest side.
   double tolerance() const;
 
  private:

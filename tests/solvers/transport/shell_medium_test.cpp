@@ -60,48 +60,58 @@ std::vector<Light> even_sky() {
   return {sky};
 }
 
-// Collisions along a line through voxels of many kinds, against e^{−∫σ}: whatever the method, in each channel.
-TEST(ShellMedium, FreePathsFollowTheirDensityInEveryChannel) {
-  const ShellVolume shell = test::shell_of(to_ball, 5, 0.4, 3, grey(0, 0.3), [](const Vec3& p, double) {
-    return test::ShellVoxel{drawn(p, 0.02, 40, true)};
-  });
+// Collisions along a line through voxels of many kinds, against e^{−∫σ}, in each channel by itself.
+void expect_free_paths(const ShellVolume& shell, const LeafMethod* method) {
   const Vec3 from(-4.6, 0.7, -0.4), direction = Vec3(1, 0.11, 0.23).normalized();
   constexpr double length = 9;
   constexpr int bins = 45, samples = 60000, steps = 200000;
   const auto extinction = [&](const Vec3& p, int c) {
     const Vec3 index = shell.frame.to_index(p);
     const Vec3i v = (index + Vec3::Constant(0.5)).array().floor().matrix().cast<int>();
-    return shell.extinction.is_active(v.x(), v.y(), v.z()) ? shell.extinction.value(v.x(), v.y(), v.z())[c] : 0.3f;
+    return shell.extinction.is_active(v.x(), v.y(), v.z()) ? shell.extinction.value(v.x(), v.y(), v.z())[c]
+                                                           : shell.core.extinction[c];
   };
-  for (const LeafMethod method : {LeafMethod::uniform, LeafMethod::voxels, LeafMethod::delta}) {
-    const ShellMedium medium(
-        shell, [](const Vec3& p) { return to_ball(p) < 0; }, nullptr, &method);
-    for (int channel = 0; channel < 3; ++channel) {
-      // All weight in one channel: then collisions are drawn by it alone.
-      std::vector<double> expected(bins + 1, 0.0), counts(bins + 1, 0.0);
-      double passed = 1;
-      for (int s = 0; s < steps; ++s) {
-        const double t = length * (s + 0.5) / steps,
-                     kept = passed * std::exp(-extinction(from + t * direction, channel) * length / steps);
-        expected[static_cast<int>(t / length * bins)] += samples * (passed - kept);
-        passed = kept;
-      }
-      expected[bins] = samples * passed;
-      ChunkTally tally;
-      for (int n = 0; n < samples; ++n) {
-        LightPath path{PathRandom(11, n)};
-        path.point = from;
-        path.direction = direction;
-        path.weight[channel] = 1;
-        // Half of the paths know beforehand how far the surface is.
-        const bool collides = medium.fly(
-            path, n % 2 ? 2.5 : 0, [&](double) { return length; }, tally);
-        ++counts[collides ? std::min(bins - 1, static_cast<int>((path.point - from).norm() / length * bins)) : bins];
-        ASSERT_NEAR(path.weight[channel], 1, 1e-9);
-      }
-      EXPECT_LT(std::abs(test::chi_square_deviate(counts, expected)), 4) << static_cast<int>(method) << " " << channel;
+  const ShellMedium medium(
+      shell, [](const Vec3& p) { return to_ball(p) < 0; }, nullptr, method);
+  EXPECT_EQ(medium.methods().one_majorant, method == nullptr);
+  for (int channel = 0; channel < 3; ++channel) {
+    // All weight in one channel: then collisions are drawn by it alone.
+    std::vector<double> expected(bins + 1, 0.0), counts(bins + 1, 0.0);
+    double passed = 1;
+    for (int s = 0; s < steps; ++s) {
+      const double t = length * (s + 0.5) / steps,
+                   kept = passed * std::exp(-extinction(from + t * direction, channel) * length / steps);
+      expected[static_cast<int>(t / length * bins)] += samples * (passed - kept);
+      passed = kept;
     }
+    expected[bins] = samples * passed;
+    ChunkTally tally;
+    for (int n = 0; n < samples; ++n) {
+      LightPath path{PathRandom(11, n)};
+      path.point = from;
+      path.direction = direction;
+      path.weight[channel] = 1;
+      // The surface is 9 mm away; half of the paths know beforehand that it is 2.5.
+      const auto ahead = [&](double limit) {
+        return limit < length ? std::numeric_limits<double>::infinity() : length;
+      };
+      const bool collides = medium.fly(path, n % 2 ? 2.5 : 0, ahead, tally);
+      ++counts[collides ? std::min(bins - 1, static_cast<int>((path.point - from).norm() / length * bins)) : bins];
+      ASSERT_NEAR(path.weight[channel], 1, 1e-9);
+    }
+    EXPECT_LT(std::abs(test::chi_square_deviate(counts, expected)), 4) << channel;
   }
+}
+
+TEST(ShellMedium, FreePathsFollowTheirDensityInEveryChannel) {
+  const ShellVolume shell = test::shell_of(to_ball, 5, 0.4, 3, grey(0, 0.3), [](const Vec3& p, double) {
+    return test::ShellVoxel{drawn(p, 0.02, 40, true)};
+  });
+  for (const LeafMethod method : {LeafMethod::uniform, LeafMethod::voxels, LeafMethod::delta})
+    expect_free_paths(shell, &method);
+  expect_free_paths(test::shell_of(to_ball, 5, 0.4, 3, grey(0, 0.15),
+                                   [](const Vec3& p, double) { return test::ShellVoxel{drawn(p, 0.1, 1.9, true)}; }),
+                    nullptr);
 }
 
 // One path carries three channels: what each is worth where it collides, and where it gets through, is what its own
@@ -193,14 +203,16 @@ TEST(ShellMedium, LeavesTakeTheMethodThatFitsThem) {
     return ShellMedium(shell, [](const Vec3& p) { return to_ball(p) < 0; }).methods();
   };
   const LeafMethodCounts even = counts([](const Vec3&) { return grey(0, 1); });
-  EXPECT_EQ(even.delta, 0u);
+  EXPECT_EQ(even.voxels, 0u);
   EXPECT_GT(even.uniform, 20u);  // all but those that hold some of the core, too
+  EXPECT_FALSE(even.one_majorant);
   const LeafMethodCounts rough = counts([](const Vec3& p) { return drawn(p, 1, 100, true); });
   EXPECT_EQ(rough.delta, 0u);
   EXPECT_GT(rough.voxels, 50u);
   const LeafMethodCounts thin = counts([](const Vec3& p) { return drawn(p, 0.1, 1.5, true); });
   EXPECT_EQ(thin.voxels, 0u);
   EXPECT_GT(thin.delta, 50u);
+  EXPECT_TRUE(thin.one_majorant);
 }
 
 // White matter of every kind in bumps and pits: nothing is lost, and as much leaves as enters.
