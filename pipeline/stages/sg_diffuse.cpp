@@ -28,6 +28,20 @@ UnstructuredGrid fluence_grid(const Polygrid& polygrid, const std::vector<Rgb>& 
   return grid;
 }
 
+// The fluence of an earlier solve on the same polygrid.
+std::vector<Rgb> read_fluence(const std::string& path, Eigen::Index points) {
+  const UnstructuredGrid grid = read_vtkhdf(path);
+  const DataArray* data = grid.find_point("fluence");
+  const auto* values = data ? std::get_if<std::vector<float>>(&data->values) : nullptr;
+  if (!values || data->columns != 3) throw InputError(path + ": it has no point data named fluence; give sg-diffuse's");
+  if (grid.points.rows() != points)
+    throw InputError(path + ": it has " + std::to_string(grid.points.rows()) + " points, the polygrid " +
+                     std::to_string(points) + "; give the fluence of the same polygrid");
+  std::vector<Rgb> fluence(points);
+  for (Eigen::Index p = 0; p < points; ++p) fluence[p] = {(*values)[3 * p], (*values)[3 * p + 1], (*values)[3 * p + 2]};
+  return fluence;
+}
+
 std::vector<double> channels(const Double4& a) { return {a[0], a[1], a[2]}; }
 std::vector<double> channels(const Eigen::Array3d& a) { return {a[0], a[1], a[2]}; }
 
@@ -48,6 +62,7 @@ void record(const DiffusionResult& r, nlohmann::json& results) {
                         {"entering", channels(r.beams->entering)},
                         {"absorbed", channels(r.beams->absorbed)},
                         {"leaving_unscattered", channels(r.beams->leaving)}};
+  results["warm_start"] = r.warm;
   results["unknowns"] = r.solve.unknowns;
   results["multigrid_levels"] = r.solve.level_sizes;
   results["cycles"] = r.solve.cycles;
@@ -92,7 +107,8 @@ Material core_material(const Scene& scene) {
 int main(int argc, char** argv) {
   StageProgram program("sg-diffuse",
                        "solves the diffusion equation in the object: fluence inside, exitance at its surface");
-  std::string scene_path, polygrid_path, surface_path, shell_path, exitance_path, method = "scene", source = "scene";
+  std::string scene_path, polygrid_path, surface_path, shell_path, exitance_path, initial_path, method = "scene",
+                                                                                                source = "scene";
   double tolerance = 0;
   DiffusionOptions options;
   program.input("scene.json", scene_path, "lights, method, object.ior, and material.core where there is no shell");
@@ -106,6 +122,9 @@ int main(int argc, char** argv) {
   program.option("--source", source,
                  "where light becomes diffuse: at the surface, or where refracted beams first meet matter",
                  {"scene", "boundary", "first-collision"});
+  program.option("--initial", initial_path,
+                 "fluence.hdf of the same polygrid to start from, where light or material changed a little; "
+                 "none: from nothing");
   program.option("--tolerance", tolerance, "", "relative error of the exitance; 0: the scene's", 0, 0.5);
   program.option("--environment-samples", options.environment_samples, "",
                  "parallel lights that stand for an environment", 1, 65536);
@@ -123,6 +142,7 @@ int main(int argc, char** argv) {
     options.operator_name = method == "scene" ? scene.method.operator_name : method;
     options.source = source == "scene" ? scene.method.source : source;
     options.tolerance = tolerance > 0 ? tolerance : scene.method.tolerance;
+    if (!initial_path.empty()) options.initial = read_fluence(initial_path, polygrid.points.rows());
     std::variant<const ShellVolume*, Material> material = &shell;
     if (shell_path.empty()) material = core_material(scene);
     const double ior = scene.object ? scene.object->ior : shell_path.empty() ? SceneObject{}.ior : shell.ior;

@@ -120,6 +120,7 @@ void DiffusionSolver::set_material(const CellCoefficients& coefficients, double 
   prepare_coarsest();
   contrast_ = contrast(coefficients);
   has_material_ = true;
+  light_is_known_ = false;
 }
 
 std::vector<std::size_t> DiffusionSolver::level_sizes() const {
@@ -176,10 +177,10 @@ void DiffusionSolver::solve_coarsest() {
 
 // Chebyshev's polynomials of the fourth kind, which need an upper bound of the spectrum only.
 // Source: [Lottes2022 alg. 3.1].
-void DiffusionSolver::smooth(std::size_t index, bool inner_light, bool from_zero) {
+void DiffusionSolver::smooth(std::size_t index, int degree, bool inner_light, bool from_zero) {
   RunLevel& level = levels_[index];
   const auto bound = static_cast<float>(parameters_.spectral_bound);
-  for (int k = 1; k <= parameters_.smoothing_degree; ++k) {
+  for (int k = 1; k <= degree; ++k) {
     const SmoothingStep step{k > 1 ? static_cast<float>(2 * k - 3) / static_cast<float>(2 * k + 1) : 0.0f,
                              static_cast<float>(8 * k - 4) / static_cast<float>(2 * k + 1) / bound};
     if (from_zero && k == 1)
@@ -189,21 +190,22 @@ void DiffusionSolver::smooth(std::size_t index, bool inner_light, bool from_zero
   }
 }
 
-void DiffusionSolver::cycle(std::size_t index, bool inner_light, bool from_zero) {
+void DiffusionSolver::cycle(std::size_t index, bool inner_light, bool from_zero, Smoothing smoothing) {
   if (index + 1 == levels_.size()) {
     if (direct_) {
       solve_coarsest();
     } else {
-      smooth(index, inner_light, from_zero);
-      for (int sweep = 0; sweep < 20; ++sweep) smooth(index, inner_light, false);
+      const int degree = parameters_.smoothing_degree;
+      smooth(index, degree, inner_light, from_zero);
+      for (int sweep = 0; sweep < 20; ++sweep) smooth(index, degree, inner_light, false);
     }
     return;
   }
-  smooth(index, inner_light, from_zero);
+  smooth(index, smoothing.before, inner_light, from_zero);
   restrict_residual(levels_[index], levels_[index + 1], inner_light);
-  cycle(index + 1, true, true);
+  cycle(index + 1, true, true, smoothing);
   prolong_vector(levels_[index], levels_[index + 1].x, levels_[index].x, true);
-  smooth(index, inner_light, false);
+  smooth(index, smoothing.after, inner_light, false);
 }
 
 void DiffusionSolver::set_light(const DiffusionLight& light) {
@@ -240,8 +242,8 @@ void DiffusionSolver::set_light(const DiffusionLight& light) {
   }
 }
 
-void DiffusionSolver::full_multigrid() {
-  error_left_ = 0.2;
+void DiffusionSolver::full_multigrid(bool correct_finest) {
+  if (correct_finest) error_left_ = 0.2;
   for (std::size_t l = 0; l + 1 < levels_.size(); ++l)
     if (inner_light_)
       restrict_vector(levels_[l], lights_[l], levels_[l + 1].layout, lights_[l + 1]);
@@ -253,15 +255,20 @@ void DiffusionSolver::full_multigrid() {
     if (!coarsest) prolong_vector(level, levels_[l + 1].x, level.x, false);
     load_light(l, coarsest);
     if (l == 0) first_outer_ = level.x.outer;
+    if (l == 0 && !correct_finest && !coarsest) {
+      smooth(0, parameters_.smoothing_degree, inner_light_, false);
+      return;
+    }
     const bool judged = l == 1;
     std::vector<Float4> start;
     if (judged) start = level.x.outer;
-    cycle(l, inner_light_ || coarsest, coarsest);
-    if (!judged || coarsest) continue;
+    cycle(l, inner_light_ || coarsest, coarsest,
+          {l == 0 ? parameters_.first_degree : parameters_.smoothing_degree, parameters_.smoothing_degree});
+    if (!judged || coarsest || !correct_finest) continue;
     // A second cycle, at little cost, tells what share of the error a cycle leaves.
     const std::vector<Float4> once = level.x.outer;
     load_light(l, false);
-    cycle(l, inner_light_, false);
+    cycle(l, inner_light_, false, {parameters_.smoothing_degree, parameters_.smoothing_degree});
     error_left_ = share_left(level, start, once);
   }
 }
@@ -324,7 +331,11 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   report.tolerance = tolerance;
   report.unknowns = size();
   report.level_sizes = level_sizes();
-  set_light(light);
+  const bool start = warm && has_solution_ && levels_.size() > 1;
+  if (start)
+    start_warm(light);
+  else
+    set_light(light);
   bool dark = true;
   for (int c = 0; c < 3; ++c) dark = dark && scale_[c] == 0;
   if (dark) {
@@ -336,10 +347,11 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
     solution_is_exact_ = false;
     shift_ = Double4{};
     report.error_history = {0};
+    has_solution_ = light_is_known_ = true;
     return report;
   }
-  (void)warm;
-  full_multigrid();
+  has_solution_ = false;
+  if (!start) full_multigrid(true);
   report.cycles = 1;
   double change = exitance_change(first_outer_);
   const auto left_of = [](double ratio, double least) {
@@ -347,6 +359,7 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   };
   // Most of what the first finest cycle changes is smooth or rough: it leaves less than cycles do in the long run.
   report.estimated_error = (error_left_ < 0.45 ? std::max(0.05, 0.3 * error_left_) : 10.0) * change;
+  if (start) report.estimated_error = 0.6 * change;        // of smoothing alone
   if (levels_.size() == 1) report.estimated_error = 1e-6;  // solved directly, in single precision
   report.error_history.push_back(report.estimated_error);
   solution_is_exact_ = false;
@@ -356,18 +369,103 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   while (report.estimated_error > tolerance && tolerance >= parameters_.exact_below && !rough &&
          report.cycles < parameters_.most_cycles && std::isfinite(change)) {
     first_outer_ = levels_.front().x.outer;
-    cycle(0, inner_light_, false);
+    cycle(0, inner_light_, false, {parameters_.smoothing_degree, parameters_.smoothing_degree});
     ++report.cycles;
     const double last = change;
     change = exitance_change(first_outer_);
-    const double ratio = change / last;
+    const double ratio = start && report.cycles == 2 ? 0.2 : change / last;
     report.estimated_error = change * left_of(ratio, 0.2);
     report.error_history.push_back(report.estimated_error);
     if (ratio > 0.5) break;
   }
   if (!(report.estimated_error <= tolerance)) solve_by_conjugate_gradients(tolerance, report);
   conserve_energy(light);
+  last_estimate_ = report.estimated_error;
+  has_solution_ = light_is_known_ = true;
   return report;
+}
+
+void DiffusionSolver::set_initial(const std::vector<Rgb>& fluence) {
+  if (static_cast<Eigen::Index>(fluence.size()) != polygrid_.points.rows())
+    throw InputError("initial fluence: it has " + std::to_string(fluence.size()) + " points, the polygrid " +
+                     std::to_string(polygrid_.points.rows()));
+  Rgb greatest = Rgb::Zero();
+  for (const Rgb& value : fluence) {
+    if (!value.isFinite().all()) throw InputError("initial fluence: a value is not finite");
+    greatest = greatest.max(value.abs());
+  }
+  RunLevel& finest = levels_.front();
+  for (int c = 0; c < 3; ++c) {
+    scale_[c] = greatest[c];
+    const float inverse = greatest[c] > 0 ? 1 / greatest[c] : 0;
+    for (std::size_t u = 0; u < finest.inner_size(); ++u)
+      finest.x.inner[c][u] = inverse * fluence[finest.layout.point_of[u]][c];
+    for (std::size_t s = 0; s < finest.x.outer.size(); ++s)
+      finest.x.outer[s][c] = inverse * fluence[fine_.outer_point[s]][c];
+  }
+  shift_ = Double4{};
+  solution_is_exact_ = light_is_known_ = false;
+  has_solution_ = true;
+}
+
+// x ← previous x + what full multigrid makes of the light's change, or of the residual.
+void DiffusionSolver::start_warm(const DiffusionLight& light) {
+  RunLevel& finest = levels_.front();
+  const std::size_t inner = finest.inner_size(), outer = finest.surface.size();
+  const bool by_light = light_is_known_ && !inner_light_ && !light.source;
+  warm_by_light_ = by_light;
+  const std::vector<Float4> old_light = lights_[0].outer;
+  const Double4 old_scale = scale_;
+  if (previous_.inner.bytes() == 0) previous_ = LevelVector<float>(inner, outer);
+  if (solution_is_exact_)
+    for_entries(previous_, exact_, inner, [](float& to, double& from, int) { to = static_cast<float>(from); });
+  else
+    std::swap(previous_, finest.x);
+  set_light(light);
+  const Double4 factor = safe_quotient(old_scale, scale_);
+  const std::vector<Float4> own_light = lights_[0].outer;
+  const bool own_inner = inner_light_;
+  if (by_light) {
+    for (std::size_t s = 0; s < outer; ++s) lights_[0].outer[s] -= to_float(factor) * old_light[s];
+    full_multigrid(false);
+  } else {
+    for (int c = 0; c < 3; ++c) {
+      float* x = previous_.inner[c];
+      const auto f = static_cast<float>(factor[c]);
+      const auto shift = static_cast<float>(shift_[c]);
+      parallel_for(
+          inner, [&](std::size_t i) { x[i] = f * (x[i] + shift); }, grain);
+    }
+    for (Float4& x : previous_.outer) x = to_float(factor * (to_double(x) + shift_));
+    apply_level(finest, previous_, finest.before);
+    for (std::size_t l = 0; l < levels_.size(); ++l)
+      if (lights_[l].inner.bytes() == 0) lights_[l].inner = ChannelPlanes<float>(levels_[l].inner_size());
+    for (int c = 0; c < 3; ++c) {
+      float* residual = lights_[0].inner[c];
+      const float* image = finest.before.inner[c];
+      parallel_for(
+          inner, [&](std::size_t i) { residual[i] = (own_inner ? residual[i] : 0.0f) - image[i]; }, grain);
+    }
+    for (std::size_t s = 0; s < outer; ++s) lights_[0].outer[s] -= finest.before.outer[s];
+    inner_light_ = true;
+    full_multigrid(true);
+    inner_light_ = own_inner;
+    if (own_inner) set_light(light);
+  }
+  lights_[0].outer = own_light;
+  for (std::size_t s = 0; s < outer; ++s) {
+    const Float4 change = finest.x.outer[s] - first_outer_[s];
+    finest.x.outer[s] += (by_light ? to_float(factor) : Float4{1, 1, 1, 1}) * previous_.outer[s];
+    first_outer_[s] = finest.x.outer[s] - change;
+  }
+  for (int c = 0; c < 3; ++c) {
+    float* to = finest.x.inner[c];
+    const float* from = previous_.inner[c];
+    const float f = by_light ? static_cast<float>(factor[c]) : 1.0f;
+    parallel_for(
+        inner, [&](std::size_t i) { to[i] += f * from[i]; }, grain);
+  }
+  load_light(0, false);
 }
 
 void DiffusionSolver::apply_cycle(const LevelVector<double>& right_side, LevelVector<double>& x) {
@@ -390,7 +488,7 @@ void DiffusionSolver::apply_cycle(const LevelVector<double>& right_side, LevelVe
   const Double4 inverse = safe_quotient(Double4{1, 1, 1, 0}, size);
   for_entries(finest.right_side, const_cast<LevelVector<double>&>(right_side), inner,
               [&](float& to, double& from, int c) { to = static_cast<float>(from * inverse[c]); });
-  cycle(0, true, true);
+  cycle(0, true, true, {parameters_.smoothing_degree, parameters_.smoothing_degree});
   for_entries(x, finest.x, inner, [&](double& to, float& from, int c) { to = from * size[c]; });
 }
 

@@ -12,11 +12,17 @@
 
 namespace shellgrid {
 
+// Degrees of the smoothing polynomial before and after a coarse correction.
+struct Smoothing {
+  int before = 3, after = 3;
+};
+
 struct SolverParameters {
   int smoothing_degree = 3;  // of the polynomial before and after each coarse correction
   // Upper end of the spectrum that the polynomial damps. The true one never exceeds 2, where cells are flat, and there
   // the polynomials up to degree 4 for this bound stay below one: so the cycle is positive definite.
   double spectral_bound = 1.9;
+  int first_degree = 2;             // before full multigrid's finest correction: its start is smooth already
   std::size_t coarsest_size = 400;  // unknowns that are solved directly
   double exact_below = 1e-3;        // tolerances below it take couplings in single and iterates in double precision
   double rough_contrast = 50;       // of σ_t' over the object, beyond which conjugate gradients take over at once
@@ -55,10 +61,16 @@ class DiffusionSolver {
   // `least_tolerance`: the least that will be asked for. `ior` ≥ 1. Throws: InputError.
   void set_material(const CellCoefficients& coefficients, double ior, double least_tolerance);
 
-  // Solves D1, D2 until the estimated relative error of the exitance is below the tolerance. `warm`: starts at the last
-  // solution, otherwise by full multigrid. The fluence ends with a constant added that makes D4 exact.
-  // Throws: NumericalError with the history where it does not converge, or meets a number that is not finite.
+  // Solves D1, D2 until the estimated relative error of the exitance is below the tolerance. Cold: by full multigrid.
+  // `warm`: the last solution, or what `set_initial` gave, plus full multigrid's answer to what has changed in the
+  // light (which needs no correction on the finest level), or to the residual. The fluence ends with a constant added
+  // that makes D4 exact. Throws: NumericalError with the history where it does not converge, or meets a number that is
+  // not finite.
   SolveReport solve(const DiffusionLight& light, double tolerance, bool warm = false);
+
+  // A fluence to start from warm, one a point of the polygrid. Throws: InputError where it does not fit or is not
+  // finite.
+  void set_initial(const std::vector<Rgb>& fluence);
 
   std::size_t size() const { return levels_.front().size(); }
   const RunLevel& finest() const { return levels_.front(); }
@@ -87,9 +99,10 @@ class DiffusionSolver {
  private:
   void prepare_coarsest();
   void solve_coarsest();
-  void smooth(std::size_t level, bool inner_light, bool from_zero);
-  void cycle(std::size_t level, bool inner_light, bool from_zero);
-  void full_multigrid();
+  void smooth(std::size_t level, int degree, bool inner_light, bool from_zero);
+  void cycle(std::size_t level, bool inner_light, bool from_zero, Smoothing smoothing);
+  void full_multigrid(bool correct_finest);
+  void start_warm(const DiffusionLight& light);
   void load_light(std::size_t level, bool whole);
   void set_light(const DiffusionLight& light);
   static double share_left(const RunLevel& level, const std::vector<Float4>& start, const std::vector<Float4>& once);
@@ -114,7 +127,11 @@ class DiffusionSolver {
   bool inner_light_ = false;
   Double4 scale_ = {};         // the light's; iterates are in units of it
   LevelVector<double> exact_;  // the solution in double precision, where that was asked for
-  bool solution_is_exact_ = false;
+  bool has_solution_ = false, solution_is_exact_ = false;
+  bool light_is_known_ = false;  // lights_ belongs to the solution
+  bool warm_by_light_ = false;
+  double last_estimate_ = 0;
+  LevelVector<float> previous_;  // where a warm start begins
   Double4 shift_ = {};
 };
 

@@ -337,6 +337,7 @@ void store_half(RunLevel& level) {
       level.half.surface[k].outer_outer[c] = to_half(surface_scale * level.single.surface[k].outer_outer[c]);
       level.half.surface[k].twin_outer[c] = to_half(surface_scale * level.single.surface[k].twin_outer[c]);
       level.half.surface[k].outer_twin[c] = to_half(surface_scale * level.single.surface[k].outer_twin[c]);
+      level.half.surface[k].unused[c] = Half{0};
     }
   level.half.surface_factor = Float4{1, 1, 1, 1} / surface_scale;
 }

@@ -126,7 +126,9 @@ PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coe
     light = solver.source_light(beams->source);
   else
     light.irradiance = solver.to_outer(irradiance);
-  result.solve = solver.solve(light, options.tolerance);
+  result.warm = !options.initial.empty();
+  if (result.warm) solver.set_initial(options.initial);
+  result.solve = solver.solve(light, options.tolerance, result.warm);
   result.energy = solver.energy(light);
   if (beams) {
     EnergyBalance& energy = result.energy;
@@ -238,6 +240,8 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   const bool beams = options.source == "first-collision";
   if (beams && options.operator_name != "elements")
     throw InputError("source first-collision: only the operator elements takes it");
+  if (!options.initial.empty() && options.operator_name != "elements")
+    throw InputError("initial fluence: only the operator elements takes it");
   if (lights.empty()) throw InputError("scene: it has no lights");
   DiffusionResult result;
 

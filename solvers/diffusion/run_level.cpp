@@ -62,10 +62,11 @@ inline Vector term_of(const Vector& coupling, const Vector& centre, const Real* 
   return coupling;
 }
 
-// lines = Σ_j term over the slots, of one run.
-template <Term term, int copies, class Real, class Store>
+// The sums over the neighbours of one run's points, by slots.
+// Calls finish(channel, place, count, sum, centre) for each chunk.
+template <Term term, int copies, class Real, class Store, class Finish>
 void couple_run(const RunLayout& layout, const LevelCouplings<Store>& couplings, std::size_t run_index,
-                const ChannelPlanes<Real>& x, RunLines<Real>& lines) {
+                const ChannelPlanes<Real>& x, const Finish& finish) {
   using Vector = typename WideLanes<Real>::Vector;
   using Index = typename WideLanes<Real>::Index;
   using IndexValue = std::decay_t<decltype(Index{}[0])>;
@@ -79,6 +80,10 @@ void couple_run(const RunLayout& layout, const LevelCouplings<Store>& couplings,
   const Real* plane[3] = {x[0], x[1], x[2]};
   for (std::int64_t p = 0; p < length; p += width) {
     const std::int64_t u = run.start + p, count = std::min<std::int64_t>(width, length - p);
+    // The rows of the next run, a chunk's worth: too many streams for the memory's own guess.
+    const char* const ahead = reinterpret_cast<const char*>(own + coupling_slots * copies * (length + p));
+    for (std::size_t byte = 0; byte < coupling_slots * copies * width * sizeof(Store); byte += 64)
+      __builtin_prefetch(ahead + byte, 0, 2);
     Vector centre[3], sum[3];
     for (int c = 0; c < 3; ++c) {
       centre[c] = load_lanes<Vector>(plane[c] + u);
@@ -129,17 +134,20 @@ void couple_run(const RunLayout& layout, const LevelCouplings<Store>& couplings,
       add(own + p - 1, length, u - 1);
     else
       add_between(own - 1, length, u - 1, 1, width);
-    for (int c = 0; c < 3; ++c) store_lanes(lines[c] + p, sum[c] * static_cast<Real>(couplings.factor[c]));
+    for (int c = 0; c < 3; ++c)
+      finish(c, p, static_cast<int>(count), Vector(sum[c] * static_cast<Real>(couplings.factor[c])), centre[c]);
   }
 }
 
+// lines ← the sums of one run.
 template <Term term = Term::difference, class Real, class Store>
 void couple_run(const RunLayout& layout, const LevelCouplings<Store>& couplings, std::size_t run_index,
                 const ChannelPlanes<Real>& x, RunLines<Real>& lines) {
+  const auto store = [&](int c, std::int64_t p, int, const auto& sum, const auto&) { store_lanes(lines[c] + p, sum); };
   if (couplings.copies == 3)
-    couple_run<term, 3>(layout, couplings, run_index, x, lines);
+    couple_run<term, 3>(layout, couplings, run_index, x, store);
   else
-    couple_run<term, 1>(layout, couplings, run_index, x, lines);
+    couple_run<term, 1>(layout, couplings, run_index, x, store);
 }
 
 template <class Real>
@@ -178,37 +186,69 @@ Lanes4<Real> inner_value(const ChannelPlanes<Real>& x, std::int32_t u) {
 }
 
 // What the twins and the outer points lose to each other: `twin_loss` belongs to the twins' rows, `outer_loss` is the
-// outer rows' without reaction.
+// outer rows' without reaction. `pair`: values of each outer point and its twin.
 template <class Real>
 struct SurfaceLosses {
-  std::vector<Lanes4<Real>> twin_value, twin_loss, outer_loss;
+  struct Pair {
+    Lanes4<Real> outer, twin;
+  };
+  std::vector<Pair> pair;
+  std::vector<Lanes4<Real>> twin_loss, outer_loss;
 };
+
+// Sums of one outer point's row and its twin's.
+template <class Store>
+void couple_pairs(const SurfaceLayout& surface, const SurfaceCoupling<Store>* couplings,
+                  const std::vector<SurfaceLosses<double>::Pair>& pair, std::size_t s, Double4& outer_sum,
+                  Double4& twin_sum) {
+  const Double4 outer = pair[s].outer, twin = pair[s].twin;
+  for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
+    const auto& there = pair[surface.neighbour[k]];
+    const SurfaceCoupling<Store>& a = couplings[k];
+    outer_sum += to_double(read4(a.outer_outer)) * (outer - there.outer);
+    outer_sum += to_double(read4(a.outer_twin)) * (outer - there.twin);
+    twin_sum += to_double(read4(a.twin_outer)) * (twin - there.outer);
+  }
+}
+
+template <class Store>
+void couple_pairs(const SurfaceLayout& surface, const SurfaceCoupling<Store>* couplings,
+                  const std::vector<SurfaceLosses<float>::Pair>& pair, std::size_t s, Float4& outer_sum,
+                  Float4& twin_sum) {
+  // Outer with outer, twin with outer, outer with twin, nothing.
+  using Eight = float __attribute__((vector_size(32)));
+  const Eight here = load_lanes<Eight>(&pair[s]);
+  const Float16Lanes centre = __builtin_shufflevector(here, here, 0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7);
+  Float16Lanes sum = {};
+  for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
+    __builtin_prefetch(couplings + k + 48);
+    const Eight there = load_lanes<Eight>(&pair[surface.neighbour[k]]);
+    const Float16Lanes neighbour =
+        __builtin_shufflevector(there, there, 0, 1, 2, 3, 0, 1, 2, 3, 4, 5, 6, 7, 4, 5, 6, 7);
+    sum += ReadLanes<float>::read(couplings[k].outer_outer) * (centre - neighbour);
+  }
+  for (int c = 0; c < 4; ++c) outer_sum[c] = sum[c] + sum[8 + c];
+  for (int c = 0; c < 4; ++c) twin_sum[c] = sum[4 + c];
+}
 
 template <class Real, class Store>
 void couple_surface(const RunLevel& level, const LevelCouplings<Store>& couplings, const LevelVector<Real>& x,
                     SurfaceLosses<Real>& losses) {
   const SurfaceLayout& surface = level.surface;
   const std::size_t n = surface.size();
-  losses.twin_value.resize(n);
+  losses.pair.resize(n);
   losses.twin_loss.resize(n);
   losses.outer_loss.resize(n);
-  for_outer(n, [&](std::size_t s) { losses.twin_value[s] = inner_value(x.inner, surface.twin[s]); });
+  for_outer(n, [&](std::size_t s) { losses.pair[s] = {x.outer[s], inner_value(x.inner, surface.twin[s])}; });
   const Lanes4<Real> factor = widen(couplings.surface_factor, Lanes4<Real>{});
   for_outer(n, [&](std::size_t s) {
-    const Lanes4<Real> outer = x.outer[s], twin = losses.twin_value[s];
     Lanes4<Real> outer_sum = {}, twin_sum = {};
-    for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
-      const std::int32_t t = surface.neighbour[k];
-      const SurfaceCoupling<Store>& a = couplings.surface[k];
-      outer_sum += widen(read4(a.outer_outer), Lanes4<Real>{}) * (outer - x.outer[t]);
-      outer_sum += widen(read4(a.outer_twin), Lanes4<Real>{}) * (outer - losses.twin_value[t]);
-      twin_sum += widen(read4(a.twin_outer), Lanes4<Real>{}) * (twin - x.outer[t]);
-    }
-    Lanes4<Real> through = widen(level.link[s], Lanes4<Real>{}) * (outer - twin);
+    couple_pairs(surface, couplings.surface.data(), losses.pair, s, outer_sum, twin_sum);
+    Lanes4<Real> through = widen(level.link[s], Lanes4<Real>{}) * (losses.pair[s].outer - losses.pair[s].twin);
     if (!level.across.empty())
       for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
-        const std::int32_t t = surface.neighbour[k];
-        through += widen(level.across[k], Lanes4<Real>{}) * (x.outer[t] - losses.twin_value[t]);
+        const auto& there = losses.pair[surface.neighbour[k]];
+        through += widen(level.across[k], Lanes4<Real>{}) * (there.outer - there.twin);
       }
     losses.outer_loss[s] = factor * outer_sum + through;
     losses.twin_loss[s] = factor * twin_sum - through;
@@ -437,33 +477,53 @@ template void apply_level(const RunLevel&, const LevelVector<double>&, LevelVect
 
 void smooth_level(RunLevel& level, const SmoothingStep& step, bool inner_light) {
   SurfaceLosses<float>& losses = surface_losses(level);
+  const float keep = step.keep, take = step.take;
   with_couplings(level, [&](const auto& couplings) {
     couple_surface(level, couplings, level.x, losses);
     for_runs(level.layout, [&](std::size_t r) {
       const LatticeRun& run = level.layout.runs[r];
       RunLines<float>& lines = thread_lines<float>();
-      residual_run(level, couplings, r, level.x, level.right_side, inner_light, losses, lines);
-      for (int c = 0; c < 3; ++c) {
-        const float* line = lines[c];
-        const float* value = level.x.inner[c] + run.start;
-        const UpperHalf* inverse = level.inverse[c] + run.start;
-        float* to = level.before.inner[c] + run.start;
-        const float keep = step.keep, take = step.take;
-        for (std::int32_t p = 0; p < run.length; ++p) {
-          const float z = std::bit_cast<float>(static_cast<std::uint32_t>(inverse[p].bits) << 16);
-          to[p] = value[p] + (keep != 0 ? keep * (value[p] - to[p]) : 0.0f) + take * (z * line[p]);
-        }
+      lines.fit(run.length);
+      const bool extras = level.layout.extra_start[r] < level.layout.extra_start[r + 1];
+      // Residuals go to `lines`, new values to `before`; twins' new values lack what the residual moves.
+      const auto finish = [&](int c, std::int64_t p, int count, const Float16Lanes& sum, const Float16Lanes& centre) {
+        const std::int64_t u = run.start + p;
+        Float16Lanes residual = -sum - load_lanes<Float16Lanes>(level.reaction.inner[c] + u) * centre;
+        if (inner_light) residual += load_lanes<Float16Lanes>(level.right_side.inner[c] + u);
+        store_lanes(lines[c] + p, residual);
+        float* to = level.before.inner[c] + u;
+        Float16Lanes moved = centre + take * (ReadLanes<float>::read(level.inverse[c] + u) * residual);
+        if (keep != 0) moved += keep * (centre - load_lanes<Float16Lanes>(to));
+        store_some(to, moved, count);
+      };
+      if (couplings.copies == 3)
+        couple_run<Term::difference, 3>(level.layout, couplings, r, level.x.inner, finish);
+      else
+        couple_run<Term::difference, 1>(level.layout, couplings, r, level.x.inner, finish);
+      if (extras) {
+        // What they take off the residual, and off the new values.
+        RunLines<float> loss;
+        loss.fit(run.length);
+        std::fill(loss.values.begin(), loss.values.end(), 0.0f);
+        couple_extras(level, r, level.x.inner, loss);
+        for (int c = 0; c < 3; ++c)
+          for (std::int32_t p = 0; p < run.length; ++p) {
+            lines[c][p] -= loss[c][p];
+            const float inverse =
+                std::bit_cast<float>(static_cast<std::uint32_t>(level.inverse[c][run.start + p].bits) << 16);
+            level.before.inner[c][run.start + p] -= take * (inverse * loss[c][p]);
+          }
       }
       for (std::int32_t s = level.surface.first_of_run[r]; s < level.surface.first_of_run[r + 1]; ++s) {
         const std::int32_t p = level.surface.twin[s] - run.start;
-        const Float4 r_twin = {lines[0][p], lines[1][p], lines[2][p], 0};
+        const Float4 r_twin = Float4{lines[0][p], lines[1][p], lines[2][p], 0} - losses.twin_loss[s];
         const Float4 r_outer = outer_residual(level, level.x, level.right_side, losses, s);
         const Float4 z_twin = level.twin_inverse[s] * r_twin + level.pair_inverse[s] * r_outer;
-        for (int c = 0; c < 3; ++c) level.before.inner[c][run.start + p] += step.take * z_twin[c];
+        for (int c = 0; c < 3; ++c) level.before.inner[c][run.start + p] += take * z_twin[c];
         const Float4 z_outer = level.pair_inverse[s] * r_twin + level.outer_inverse[s] * r_outer;
         const Float4 here = level.x.outer[s];
-        Float4 moved = here + step.take * z_outer;
-        if (step.keep != 0) moved += step.keep * (here - level.before.outer[s]);
+        Float4 moved = here + take * z_outer;
+        if (keep != 0) moved += keep * (here - level.before.outer[s]);
         level.before.outer[s] = moved;
       }
     });

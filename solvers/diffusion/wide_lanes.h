@@ -73,6 +73,19 @@ inline void store_lanes(Value* to, const Vector& v) {
   std::memcpy(to, &v, sizeof v);
 }
 
+// The first `count` lanes alone.
+inline void store_some(float* to, const Float16Lanes& v, int count) {
+  if (count >= 16) {
+    store_lanes(to, v);
+    return;
+  }
+#if defined(__AVX512F__)
+  _mm512_mask_storeu_ps(to, static_cast<__mmask16>((1u << count) - 1), reinterpret_cast<__m512>(v));
+#else
+  for (int i = 0; i < count; ++i) to[i] = v[i];
+#endif
+}
+
 // Stored numbers as lanes of Real.
 template <class Real>
 struct ReadLanes;

@@ -53,6 +53,23 @@ class Diffuse(unittest.TestCase):
         programs.write_json(type(self).at(name), programs.scene(**changes))
         return name
 
+    def test_starts_from_an_earlier_fluence_and_ends_at_the_same(self):
+        for name, more in (("cold", []), ("warm", ["--initial", "cold.hdf"])):
+            done = self.diffuse(name, "--tolerance", "1e-5", *more)
+            self.assertEqual(done.returncode, 0, done.stderr)
+        fields, records = [], []
+        for name in ("cold", "warm"):
+            with h5py.File(self.at(name + ".hdf")) as file:
+                fields.append(file["VTKHDF/PointData/fluence"][:])
+            with open(self.at(name + ".hdf.json")) as file:
+                records.append(json.load(file)["results"])
+        self.assertFalse(records[0]["warm_start"])
+        self.assertTrue(records[1]["warm_start"])
+        self.assertLess(len(records[1]["error_history"]), len(records[0]["error_history"]))
+        self.assertLess(abs(fields[0] - fields[1]).max(), 1e-4 * fields[0].max())
+        self.refused(3, "--initial", "tets.hdf", words="no point data named fluence")
+        self.refused(3, "--initial", "nothing.hdf")
+
     def test_free_space_between_bumps_is_told(self):
         wax = {"absorption": 0.05, "scattering": 1.5}
         programs.write_json(type(self).at("bumps.json"), {

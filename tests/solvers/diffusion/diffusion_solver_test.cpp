@@ -125,6 +125,47 @@ TEST(DiffusionSolver, SaysWhatHappenedInsteadOfReturningAWrongPicture) {
   EXPECT_THROW(solver.set_material(coefficients, 1.5, 1e-3), NumericalError);
 }
 
+TEST(DiffusionSolver, AWarmStartEndsWhereAColdOneDoes) {
+  const Polygrid grid = test::ball_grid(20, 10, 0.1);
+  CellCoefficients coefficients = homogeneous_coefficients(grid, test::grey_material({0.01, 1}));
+  test::add_contrast(coefficients, 10);
+  DiffusionSolver solver(grid);
+  const auto lamp = [&](double angle, double power) {
+    const Vec3 direction(std::sin(angle), 0, std::cos(angle));
+    return test::light_of(solver, grid, [=](const Vec3& p) {
+      const double cosine = power * std::max(0.0, direction.dot(p.normalized()));
+      return Double4{cosine, cosine, 2 * cosine, 0};
+    });
+  };
+  solver.set_material(coefficients, 1.5, 1e-10);
+  // Turned a little; much brighter; dark and lit again.
+  for (const double power : {1.0, 1e4, 0.0, 1.0}) {
+    const DiffusionLight light = lamp(0.1, power);
+    solver.solve(light, 1e-9);
+    const std::vector<Double4> exact = solver.exitance(light);
+    solver.solve(lamp(0, 1), 0.002);
+    const SolveReport warm = solver.solve(light, 0.002, true);
+    const std::vector<Double4> close = solver.exitance(light);
+    EXPECT_LE(warm.cycles, 3);
+    double error = 0, size = 0;
+    for (std::size_t s = 0; s < exact.size(); ++s) {
+      error += solver.surface().area[s] * std::pow(close[s][0] - exact[s][0], 2);
+      size += solver.surface().area[s] * std::pow(exact[s][0], 2);
+    }
+    EXPECT_LE(std::sqrt(error), 0.002 * std::sqrt(size) + 1e-12) << power;
+    EXPECT_LT(solver.energy(light).relative_defect[0], 1e-10);
+    // The same from a file's fluence.
+    std::vector<Rgb> fluence;
+    for (const Double4& value : solver.fluence()) fluence.push_back(to_rgb(value));
+    solver.set_initial(fluence);
+    const SolveReport again = solver.solve(light, 1e-6, true);
+    EXPECT_LE(again.iterations, 5);
+    const std::vector<Double4> closer = solver.exitance(light);
+    for (std::size_t s = 0; s < exact.size(); ++s) ASSERT_NEAR(closer[s][0], exact[s][0], 1e-4 * power);
+  }
+  EXPECT_THROW(solver.set_initial(std::vector<Rgb>(3)), InputError);
+}
+
 // The elements of 16 cells at a time against those of one at a time, through all couplings.
 TEST(DiffusionSolver, ItsOperatorIsThatOfTheSystem) {
   for (const double layer : {0.1, 1.0}) {
