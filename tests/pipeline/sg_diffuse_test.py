@@ -59,9 +59,9 @@ class Diffuse(unittest.TestCase):
             self.assertEqual(done.returncode, 0, done.stderr)
         fields, records = [], []
         for name in ("cold", "warm"):
-            with h5py.File(self.at(name + ".hdf")) as file:
+            with h5py.File(os.path.join(self.place.name, name + ".hdf")) as file:
                 fields.append(file["VTKHDF/PointData/fluence"][:])
-            with open(self.at(name + ".hdf.json")) as file:
+            with open(os.path.join(self.place.name, name + ".hdf.json")) as file:
                 records.append(json.load(file)["results"])
         self.assertFalse(records[0]["warm_start"])
         self.assertTrue(records[1]["warm_start"])
