@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Linear solvers of other libraries behind one face, to compare with.
+#pragma once
+#include <Eigen/SparseCore>
+#include <memory>
+
+namespace shellgrid::test {
+
+class LibrarySolver {
+ public:
+  virtual ~LibrarySolver() = default;
+  // Of a symmetric positive definite matrix, both halves stored.
+  virtual void prepare(const Eigen::SparseMatrix<double>& matrix) = 0;
+  // `tolerance`: of the residual's norm over the right-hand side's, where the solver iterates.
+  virtual Eigen::VectorXd solve(const Eigen::VectorXd& right_side, double tolerance) = 0;
+};
+
+// CHOLMOD's supernodal factorisation.
+std::unique_ptr<LibrarySolver> cholmod_solver();
+// hypre: conjugate gradients around one V-cycle of BoomerAMG (HMIS coarsening, aggressive on the first level,
+// extended+i interpolation, symmetric hybrid Gauss–Seidel).
+std::unique_ptr<LibrarySolver> hypre_solver();
+
+}  // namespace shellgrid::test
