@@ -17,6 +17,7 @@
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
+#include "solvers/render/tone_map.h"
 #include "solvers/transport/camera_paths.h"
 #include "solvers/transport/light_tracing.h"
 #include "solvers/transport/tally_shapes.h"
@@ -296,7 +297,13 @@ void take_picture(const SceneInputs& inputs, Campaign campaign, bool limited, St
   run.start_timer("follow");
   const PathState state = campaign.follow(paths.kind(), inputs.fingerprint(scene, "camera", run.seed()), run);
   run.start_timer("write");
-  write_exr(run.output(), paths.picture(state));
+  const Image picture = paths.picture(state);
+  const double stops = scene.exposure ? *scene.exposure : automatic_exposure(picture);
+  const std::string png = std::filesystem::path(run.output()).replace_extension(".png").string();
+  write_png(png, picture.width, picture.height, tone_map(picture, stops, ToneCurve::filmic));
+  run.note_output(png);
+  write_exr(run.output(), picture);
+  run.results()["exposure_stops"] = stops;
   run.results()["relative_standard_error"] = paths.relative_error(state);
   run.print(fmt::format("{}: {} paths, {:.3g} a pixel, radiance ± {:.2g} %", run.output(), state.paths,
                         static_cast<double>(state.paths) / static_cast<double>(paths.pixel_count()),
@@ -318,7 +325,8 @@ int main(int argc, char** argv) {
   program.input("surface.ply", inputs.surface, "the object's surface", true);
   program.input("shell.vdb", inputs.shell, "its shell of voxels and core; left out for a homogeneous object", true);
   program.output("exitance.ply",
-                 "the surface with its exitance, for sg-render; .exr: the picture by camera paths; .json: with --tally "
+                 "the surface with its exitance, for sg-render; .exr: the picture by camera paths, with a .png beside "
+                 "it; .json: with --tally "
                  "what was measured",
                  false, {".exr", ".json"});
   program.option("--paths", campaign.limits.paths, "",

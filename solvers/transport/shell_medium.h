@@ -251,7 +251,9 @@ bool ShellMedium::fly_thin(LightPath& path, double clearance, const Ahead& ahead
     }
     if (found && t >= wall) return false;
     int voxel[3];
-    for (int axis = 0; axis < 3; ++axis) voxel[axis] = static_cast<int>(std::floor(local[axis] + t * step[axis]));
+    // A path that slipped out may be anywhere: it must not leave the range of whole numbers.
+    for (int axis = 0; axis < 3; ++axis)
+      voxel[axis] = static_cast<int>(std::clamp(std::floor(local[axis] + t * step[axis]), -1e9, 1e9));
     const int x = voxel[0] >> 3, y = voxel[1] >> 3, z = voxel[2] >> 3;
     const bool within = static_cast<unsigned>(x) < static_cast<unsigned>(count_.x()) &&
                         static_cast<unsigned>(y) < static_cast<unsigned>(count_.y()) &&

@@ -173,6 +173,7 @@ class Picture(Reference):
         record = programs.record(type(self).at("white.exr"))
         self.assertEqual(record["results"]["paths"], 48 * 32 * 16)
         self.assertLess(record["results"]["relative_standard_error"], 1e-6)
+        self.assertTrue(os.path.exists(type(self).at("white.png")))
         with open(type(self).at("white.exr"), "rb") as file:
             whole = file.read()
         for paths in ("5000", "24576"):
