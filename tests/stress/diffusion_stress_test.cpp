@@ -3,6 +3,8 @@
 // (nearly) positive, or in a clear refusal. The long form, SG_LONG=1, takes finer grids and more combinations.
 #include <gtest/gtest.h>
 
+#include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <string>
 
@@ -25,12 +27,25 @@ void scatter_coefficients(CellCoefficients& coefficients, double contrast, std::
   }
 }
 
-// Solves and checks what every solution must fulfil.
+// σ_a and σ_t' by a smooth power of the contrast.
+void wave_coefficients(const Polygrid& grid, CellCoefficients& coefficients, double contrast, double waves) {
+  const Vec3 low = grid.points.colwise().minCoeff(), size = grid.points.colwise().maxCoeff().transpose() - low;
+  for (std::size_t i = 0; i < coefficients.absorption.size(); ++i) {
+    const Vec3 x = gauss_point(grid, static_cast<int>(i / 8), static_cast<int>(i % 8)) - low;
+    const double phase = 2 * M_PI * waves * (x.array() / size.array()).sum();
+    const auto factor = static_cast<float>(std::pow(contrast, 0.5 * std::sin(phase)));
+    coefficients.absorption[i] *= factor;
+    coefficients.reduced_extinction[i] *= factor;
+  }
+}
+
+// Solves and checks what every solution must fulfil. A refusal says what happened, with its history.
 void expect_sound(const Polygrid& grid, const CellCoefficients& coefficients, double ior,
-                  const std::function<Double4(const Vec3&)>& light, double least_share, const std::string& what) {
-  SCOPED_TRACE(what);
+                  const std::function<Double4(const Vec3&)>& light, double least_share, const std::string& what,
+                  double tolerance) {
+  SCOPED_TRACE(what + " to " + std::to_string(tolerance));
   try {
-    const auto p = test::solve_problem(grid, coefficients, ior, light, 1e-6);
+    const auto p = test::solve_problem(grid, coefficients, ior, light, tolerance);
     for (int c = 0; c < 3; ++c) {
       double greatest = 0, least = 0;
       for (const Double4& value : p.fluence) {
@@ -42,9 +57,20 @@ void expect_sound(const Polygrid& grid, const CellCoefficients& coefficients, do
       EXPECT_GE(least, -least_share * greatest) << "channel " << c;
     }
   } catch (const NumericalError& refusal) {
-    EXPECT_GT(std::string(refusal.what()).size(), 20u);
+    const std::string said = refusal.what();
+    EXPECT_TRUE(said.find("relative residuals") != std::string::npos ||
+                said.find("not positive definite") != std::string::npos)
+        << said;
+    std::printf("%s: refused: %s\n", what.c_str(), said.substr(0, 90).c_str());
     EXPECT_GT(least_share, 1e-3) << "a case that must be solved was refused: " << refusal.what();
   }
+}
+
+// With couplings in half and in single precision.
+void expect_sound(const Polygrid& grid, const CellCoefficients& coefficients, double ior,
+                  const std::function<Double4(const Vec3&)>& light, double least_share, const std::string& what) {
+  for (const double tolerance : {0.002, 1e-6})
+    expect_sound(grid, coefficients, ior, light, least_share, what, tolerance);
 }
 
 Double4 lamp(const Vec3& p) { return Double4{p.z() > 0 ? p.z() : 0.0, 1, p.x() > 0 ? 1.0 : 0.0, 0}; }
@@ -60,6 +86,77 @@ TEST(DiffusionStress, RandomContrasts) {
   }
 }
 
+TEST(DiffusionStress, SmoothContrasts) {
+  for (int n : long_form() ? std::vector<int>{8, 16, 32} : std::vector<int>{8}) {
+    const Polygrid grid = test::ball_grid(n, 10, 0.1);
+    for (double contrast : {1.0, 1e3, 1e6, 1e9}) {
+      CellCoefficients coefficients = homogeneous_coefficients(grid, test::grey_material({0.01, 1}));
+      wave_coefficients(grid, coefficients, contrast, 1);
+      // No M-matrix: at contrasts of a million fluence undershoots by up to half a per cent of its greatest value.
+      expect_sound(grid, coefficients, 1.5, lamp, contrast > 1e4 ? 1e-2 : 1e-3,
+                   "smooth contrast " + std::to_string(contrast));
+    }
+  }
+}
+
+// A shell as thin as a cell over a core of quite another material, and cells that alternate.
+TEST(DiffusionStress, OneVoxelShells) {
+  const int n = long_form() ? 24 : 8;
+  const Polygrid grid = test::ball_grid(n, 10, 0.1);
+  for (double contrast : {1e-6, 1e-3, 1e3, 1e6})
+    for (const bool alternating : {false, true}) {
+      CellCoefficients coefficients = homogeneous_coefficients(grid, test::grey_material({0.01, 1}));
+      for (std::size_t i = 0; i < coefficients.absorption.size(); ++i) {
+        const Vec3i at = grid.cell_lattice.row(static_cast<Eigen::Index>(i / 8)).transpose();
+        const bool shell = alternating ? at.sum() % 2 == 0 : at.minCoeff() == 0 || at.maxCoeff() == n - 1;
+        if (!shell) continue;
+        coefficients.absorption[i] *= static_cast<float>(contrast);
+        coefficients.reduced_extinction[i] *= static_cast<float>(contrast);
+      }
+      expect_sound(grid, coefficients, 1.5, lamp, contrast > 1e4 || contrast < 1e-4 ? 1e-2 : 2e-3,
+                   (alternating ? "alternating " : "shell ") + std::to_string(contrast));
+    }
+}
+
+// One point of the cube drawn towards the opposite edges of its cells, down to a scaled Jacobian of about a twentieth.
+TEST(DiffusionStress, FlattenedCells) {
+  for (double share : {0.3, 0.45, 0.49}) {
+    Polygrid grid = test::cube_grid(8, 10, 0.1);
+    int moved = 0;
+    for (Eigen::Index p = 0; p < grid.points.rows(); ++p) {
+      const Vec3i at = grid.point_lattice.row(p).transpose();
+      if (grid.outer_twin[p] >= 0 || at.minCoeff() < 1 || at.maxCoeff() > 7 || at.sum() % 5 != 0) continue;
+      grid.points.row(p) += share * grid.spacing * Eigen::RowVector3d(1, 1, 0);
+      ++moved;
+    }
+    EXPECT_GT(moved, 20);
+    CellCoefficients coefficients = homogeneous_coefficients(grid, test::grey_material({0.01, 1}));
+    scatter_coefficients(coefficients, 10, 5);
+    expect_sound(grid, coefficients, 1.5, lamp, 1e-2, "flattened " + std::to_string(share));
+  }
+}
+
+TEST(DiffusionStress, NoLight) {
+  const Polygrid grid = test::ball_grid(10, 10, 0.1);
+  CellCoefficients coefficients = homogeneous_coefficients(grid, test::grey_material({0, 1}));
+  scatter_coefficients(coefficients, 1e6, 2);
+  for (double tolerance : {0.005, 1e-9}) {
+    const auto p = test::solve_problem(
+        grid, coefficients, 1.5, [](const Vec3&) { return Double4{}; }, tolerance);
+    for (const Double4& value : p.fluence)
+      for (int c = 0; c < 3; ++c) ASSERT_EQ(value[c], 0);
+  }
+  // One channel dark.
+  const auto p = test::solve_problem(
+      grid, coefficients, 1.5,
+      [](const Vec3&) {
+        return Double4{0, 1, 1, 0};
+      },
+      1e-6);
+  for (const Double4& value : p.fluence) ASSERT_EQ(value[0], 0);
+  EXPECT_LT(p.energy.relative_defect[1], 1e-9);
+}
+
 TEST(DiffusionStress, RefractiveIndicesAndAlbedos) {
   const Polygrid grid = test::ball_grid(long_form() ? 24 : 8, 10, 0.1);
   for (double ior : {1.0, 1.3, 1.5, 2.0, 2.5})
@@ -69,7 +166,7 @@ TEST(DiffusionStress, RefractiveIndicesAndAlbedos) {
 }
 
 TEST(DiffusionStress, Sizes) {
-  for (double radius : {1e-3, 1.0, 1e3, 1e6}) {
+  for (double radius : {1e-3, 0.1, 1.0, 1e3, 1e6}) {
     const Polygrid grid = test::ball_grid(8, radius, 0.1);
     for (double optical_radius : {0.1, 1.0, 10.0})
       expect_sound(
@@ -114,7 +211,7 @@ TEST(DiffusionStress, LightOnOnePoint) {
         return Double4{on, on, on, 0};
       },
       1e-3, "one point");
-  EXPECT_EQ(lit, 1);
+  EXPECT_EQ(lit, 2);  // once a tolerance
 }
 
 }  // namespace
