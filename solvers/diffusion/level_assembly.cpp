@@ -13,6 +13,9 @@
 namespace shellgrid {
 namespace {
 
+// Bytes of single-precision couplings that are kept for the next material though nothing else needs them.
+constexpr std::size_t largest_kept = std::size_t{1} << 30;
+
 // Calls body(begin, end) for each slab's items: even slabs at once, then odd ones, so that neighbours never meet.
 template <class Body>
 void for_slabs(const std::vector<std::int32_t>& start, const Body& body) {
@@ -225,33 +228,33 @@ void add_boundary_element(const BoundaryElement& element, std::size_t place, Run
   }
 }
 
+// The thin layer's elements, one core cell's at a time.
 void assemble_layer(const Polygrid& polygrid, const CellCoefficients& coefficients, const FineGrid& fine,
-                    RunLevel& level, SurfaceTerms& terms, std::vector<BoundaryElement>& elements) {
+                    RunLevel& level, SurfaceTerms& terms, std::vector<BoundaryElement>* coarse) {
   std::vector<std::int32_t> first(level.cells.boundary.size() + 1, 0);
   for (std::int32_t place : fine.layer_boundary) ++first[place + 1];
   for (std::size_t k = 1; k < first.size(); ++k) first[k] += first[k - 1];
-  elements.resize(level.cells.boundary.size());
-  std::vector<std::array<Float4, 16>> absorption(elements.size());
-  parallel_for(
-      elements.size(),
-      [&](std::size_t place) {
-        elements[place] = BoundaryElement{};
-        absorption[place] = {};
-        for (std::int32_t k = first[place]; k < first[place + 1]; ++k)
-          add_layer_cell(cell_corners(polygrid, fine.layer_cell[k]),
-                         coefficients.absorption.data() + 8 * static_cast<std::size_t>(fine.layer_cell[k]),
-                         coefficients.reduced_extinction.data() + 8 * static_cast<std::size_t>(fine.layer_cell[k]),
-                         fine.layer_node[k], elements[place], absorption[place]);
-      },
-      64);
-  for (std::size_t place = 0; place < elements.size(); ++place) {
-    const std::int32_t* corners = level.cells.corners.data() + 8 * level.cells.boundary[place];
-    for (int a = 0; a < 8; ++a) {
-      if (!(level.cells.outer_mask[place] >> a & 1)) continue;
-      for (int c = 0; c < 3; ++c) level.reaction.inner[c][corners[a]] += absorption[place][a][c];
-      terms.absorption[level.cells.outer[8 * place + a]] += absorption[place][a + 8];
+  for_slabs(level.cells.boundary_slab_start, [&](std::int32_t begin, std::int32_t end) {
+    for (std::int32_t place = begin; place < end; ++place) {
+      BoundaryElement element;
+      std::array<Float4, 16> absorption{};
+      for (std::int32_t k = first[place]; k < first[place + 1]; ++k) {
+        const std::size_t samples = 8 * static_cast<std::size_t>(fine.layer_cell[k]);
+        add_layer_cell(cell_corners(polygrid, fine.layer_cell[k]), coefficients.absorption.data() + samples,
+                       coefficients.reduced_extinction.data() + samples, fine.layer_node[k], element, absorption);
+      }
+      const std::int32_t* corners = level.cells.corners.data() + 8 * level.cells.boundary[place];
+      for (int a = 0; a < 8; ++a) {
+        if (!(level.cells.outer_mask[place] >> a & 1)) continue;
+        for (int c = 0; c < 3; ++c) level.reaction.inner[c][corners[a]] += absorption[a][c];
+        terms.absorption[level.cells.outer[8 * place + a]] += absorption[a + 8];
+      }
+      add_boundary_element(element, place, level);
+      if (coarse)
+        add_coarse_boundary(element, level.cells.octant[level.cells.boundary[place]],
+                            (*coarse)[level.cells.boundary_parent[place]]);
     }
-  }
+  });
 }
 
 void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level, std::vector<BoundaryElement>* coarse) {
@@ -263,6 +266,20 @@ void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level,
                             (*coarse)[level.cells.boundary_parent[place]]);
     }
   });
+}
+
+// Memory of the last material's, where it fits.
+void clear_couplings(RunLevel& level) {
+  const std::size_t size = static_cast<std::size_t>(coupling_slots) * 3 * level.inner_size();
+  StreamBuffer<float>& values = level.single.values;
+  if (values.size() != size || !values) {
+    values = StreamBuffer<float>(size);
+  } else {
+    parallel_chunks(size, 1 << 18, [&](std::size_t begin, std::size_t end) {
+      std::fill(values.data() + begin, values.data() + end, 0.0f);
+    });
+  }
+  level.single.surface.assign(level.surface.neighbour.size(), {});
 }
 
 void add_areas(const Polygrid& polygrid, const FineGrid& fine, SurfaceTerms& terms) {
@@ -314,31 +331,53 @@ void halve_numbers(const float* from, float scale, std::size_t begin, std::size_
 void store_half(RunLevel& level) {
   const std::size_t n = level.single.values.size();
   const float* from = level.single.values.data();
-  float greatest = parallel_sum(
-                       n, Greatest{}, [&](std::size_t i) { return Greatest{std::abs(from[i])}; }, 1 << 16)
-                       .value;
+  const float greatest = parallel_sum((n + 65535) / 65536, Greatest{},
+                                      [&](std::size_t chunk) {
+                                        Float16Lanes most = {};
+                                        const std::size_t end = std::min(n, (chunk + 1) * 65536);
+                                        std::size_t i = chunk * 65536;
+                                        for (; i + 16 <= end; i += 16) {
+                                          const Float16Lanes v = load_lanes<Float16Lanes>(from + i);
+                                          const Float16Lanes size = v < 0 ? -v : v;
+                                          most = most > size ? most : size;
+                                        }
+                                        Greatest own;
+                                        for (int k = 0; k < 16; ++k) own.value = std::max(own.value, most[k]);
+                                        for (; i < end; ++i) own.value = std::max(own.value, std::abs(from[i]));
+                                        return own;
+                                      },
+                                      1)
+                             .value;
   float surface_greatest = 0;
-  for (const auto& pair : level.single.surface)
-    for (int c = 0; c < 3; ++c)
-      surface_greatest = std::max({surface_greatest, std::abs(pair.outer_outer[c]), std::abs(pair.twin_outer[c]),
-                                   std::abs(pair.outer_twin[c])});
+  surface_greatest = parallel_sum(level.single.surface.size(), Greatest{}, [&](std::size_t k) {
+                       const auto& pair = level.single.surface[k];
+                       Greatest own;
+                       for (int c = 0; c < 3; ++c)
+                         own.value = std::max({own.value, std::abs(pair.outer_outer[c]), std::abs(pair.twin_outer[c]),
+                                               std::abs(pair.outer_twin[c])});
+                       return own;
+                     }).value;
   const auto scale_of = [](float size) {
     return size > 0 && std::isfinite(size) ? std::exp2(14 - std::ilogb(size)) : 1.0;
   };
   const auto scale = static_cast<float>(scale_of(greatest));
-  level.half.values = StreamBuffer<Half>(n);
+  if (level.half.values.size() != n || !level.half) level.half.values = StreamBuffer<Half>(n);
   Half* to = level.half.values.data();
   parallel_chunks(n, 1 << 16, [&](std::size_t begin, std::size_t end) { halve_numbers(from, scale, begin, end, to); });
   level.half.factor = Float4{1, 1, 1, 1} / scale;
   const auto surface_scale = static_cast<float>(scale_of(surface_greatest));
   level.half.surface.resize(level.single.surface.size());
-  for (std::size_t k = 0; k < level.half.surface.size(); ++k)
-    for (int c = 0; c < 4; ++c) {
-      level.half.surface[k].outer_outer[c] = to_half(surface_scale * level.single.surface[k].outer_outer[c]);
-      level.half.surface[k].twin_outer[c] = to_half(surface_scale * level.single.surface[k].twin_outer[c]);
-      level.half.surface[k].outer_twin[c] = to_half(surface_scale * level.single.surface[k].outer_twin[c]);
-      level.half.surface[k].unused[c] = Half{0};
-    }
+  parallel_for(
+      level.half.surface.size(),
+      [&](std::size_t k) {
+        for (int c = 0; c < 4; ++c) {
+          level.half.surface[k].outer_outer[c] = to_half(surface_scale * level.single.surface[k].outer_outer[c]);
+          level.half.surface[k].twin_outer[c] = to_half(surface_scale * level.single.surface[k].twin_outer[c]);
+          level.half.surface[k].outer_twin[c] = to_half(surface_scale * level.single.surface[k].outer_twin[c]);
+          level.half.surface[k].unused[c] = Half{0};
+        }
+      },
+      4096);
   level.half.surface_factor = Float4{1, 1, 1, 1} / surface_scale;
 }
 
@@ -357,10 +396,7 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
   std::vector<BoundaryElement> boundary;
   for (std::size_t l = 0; l < levels.size(); ++l) {
     RunLevel& level = levels[l];
-    level.half = {};
-    level.single = {};
-    level.single.values = StreamBuffer<float>(static_cast<std::size_t>(coupling_slots) * 3 * level.inner_size());
-    level.single.surface.assign(level.surface.neighbour.size(), {});
+    clear_couplings(level);
     level.link.assign(level.surface.size(), Float4{});
     level.across.assign(l > 0 ? level.surface.neighbour.size() : 0, Float4{});
     level.extra.assign(level.layout.extras.size(), Float4{});
@@ -372,21 +408,21 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
       for (int c = 0; c < 3; ++c)
         std::fill(level.reaction.inner[c], level.reaction.inner[c] + level.inner_size(), 0.0f);
       assemble_fine_core(coefficients, fine, level, coarse);
-      assemble_layer(polygrid, coefficients, fine, level, terms, boundary);
+      assemble_layer(polygrid, coefficients, fine, level, terms, coarse ? &coarse->boundary : nullptr);
       for (std::size_t s = 0; s < terms.area.size(); ++s)
         level.reaction.outer[s] =
             terms.absorption[s] +
             static_cast<float>(terms.area[s] / (2 * options.boundary_factor)) * Float4{1, 1, 1, 0};  // PHYSICS D2
     } else {
       assemble_coarse_core(elements, level, coarse);
+      add_boundary(boundary, level, coarse ? &coarse->boundary : nullptr);
     }
-    add_boundary(boundary, level, has_coarse ? &coarse_elements.boundary : nullptr);
     elements = std::move(coarse_elements);
     boundary = std::move(elements.boundary);
     store_half(level);
     if (has_coarse) restrict_vector(level, level.reaction, levels[l + 1].layout, levels[l + 1].reaction);
     prepare_smoother(level);
-    if (!(l == 0 && options.keep_single)) level.single = {};
+    if (!options.keep_single && level.single.values.size() * sizeof(float) > largest_kept) level.single = {};
   }
   return terms;
 }
