@@ -11,6 +11,7 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/surface/closest_point.h"
+#include "meshing/surface/half_edges.h"
 #include "solvers/diffusion/boundary_irradiance.h"
 #include "solvers/diffusion/cell_walk.h"
 #include "solvers/render/surface_render.h"

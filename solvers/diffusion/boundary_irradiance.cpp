@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "meshing/core/parallel.h"
+#include "meshing/surface/half_edges.h"
 #include "solvers/render/surface_render.h"
 #include "solvers/scattering/fresnel.h"
 

@@ -294,20 +294,6 @@ void add_boundary_areas(const Polygrid& polygrid, PolygridSystem& system) {
 
 }  // namespace
 
-void CouplingOperator::apply(const std::vector<Double4>& x, std::vector<Double4>& result) const {
-  result.resize(size());
-  parallel_for(
-      size(),
-      [&](std::size_t i) {
-        const Double4 own = x[i];
-        Double4 sum = reaction[i] * own;
-        for (std::int64_t k = row_start[i]; k < row_start[i + 1]; ++k)
-          sum += to_double(coupling[k]) * (own - x[column[k]]);
-        result[i] = sum;
-      },
-      1024);
-}
-
 double check_polygrid(const Polygrid& polygrid) {
   check_indices(polygrid);
   return check_cells(polygrid);
@@ -337,41 +323,8 @@ PolygridSystem assemble_polygrid_system(const Polygrid& polygrid, const CellCoef
   system.transfers = transfer_unknowns(polygrid, system);
   gather_rows(polygrid, elements, system);
   add_boundary_areas(polygrid, system);
-  system.matrix.reaction = system.absorption;
-  for (std::size_t i = 0; i < system.boundary_area.size(); ++i)
-    system.matrix.reaction[i] += system.boundary_area[i] / (2 * system.boundary_factor);  // PHYSICS D2
+  set_reaction(system);
   return system;
-}
-
-std::vector<Double4> boundary_source(const PolygridSystem& system, const std::vector<Double4>& irradiance) {
-  std::vector<Double4> source(system.boundary_area.size(), Double4{});
-  for (std::size_t i = 0; i < source.size(); ++i)
-    source[i] = irradiance[i] * (2 * system.boundary_area[i] / (1 + system.current_reflectance));  // PHYSICS D2
-  return source;
-}
-
-std::vector<Double4> boundary_exitance(const PolygridSystem& system, const std::vector<Double4>& fluence,
-                                       const std::vector<Double4>& irradiance) {
-  std::vector<Double4> exitance(fluence.size(), Double4{});
-  const double reflected = (1 - system.current_reflectance) / (1 + system.current_reflectance);
-  for (std::size_t i = 0; i < exitance.size(); ++i)
-    if (system.boundary_area[i] > 0)
-      exitance[i] = fluence[i] / (2 * system.boundary_factor) - reflected * irradiance[i];  // PHYSICS D3 with D2
-  return exitance;
-}
-
-EnergyBalance energy_balance(const PolygridSystem& system, const std::vector<Double4>& fluence,
-                             const std::vector<Double4>& irradiance) {
-  const std::vector<Double4> exitance = boundary_exitance(system, fluence, irradiance);
-  EnergyBalance balance;
-  for (std::size_t i = 0; i < fluence.size(); ++i) {
-    balance.entering += system.boundary_area[i] * irradiance[i];
-    balance.leaving += system.boundary_area[i] * exitance[i];
-    balance.absorbed += system.absorption[i] * fluence[i];
-  }
-  balance.relative_defect = safe_quotient(balance.entering - balance.leaving - balance.absorbed, balance.entering);
-  for (int c = 0; c < 4; ++c) balance.relative_defect[c] = std::abs(balance.relative_defect[c]);
-  return balance;
 }
 
 }  // namespace shellgrid

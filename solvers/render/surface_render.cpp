@@ -11,6 +11,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
+#include "meshing/surface/half_edges.h"
 #include "solvers/render/scene_geometry.h"
 #include "solvers/scattering/fresnel.h"
 
@@ -123,23 +124,6 @@ RenderedImage expose(const Stage& stage, const Camera& camera, const Shade& shad
 }
 
 }  // namespace
-
-VertexMatrix vertex_normals(const TriangleMesh& mesh) {
-  VertexMatrix normals = VertexMatrix::Zero(mesh.vertex_count(), 3);
-  for (int f = 0; f < mesh.face_count(); ++f)
-    for (int k = 0; k < 3; ++k) {
-      const Vec3 a = mesh.corner(f, (k + 1) % 3) - mesh.corner(f, k),
-                 b = mesh.corner(f, (k + 2) % 3) - mesh.corner(f, k);
-      const Vec3 area = a.cross(b);
-      const double length = area.norm();
-      if (length > 0) normals.row(mesh.faces(f, k)) += (std::atan2(length, a.dot(b)) / length * area).transpose();
-    }
-  for (int v = 0; v < mesh.vertex_count(); ++v) {
-    const double length = normals.row(v).norm();
-    if (length > 0) normals.row(v) /= length;
-  }
-  return normals;
-}
 
 RenderedImage render_surface(const TriangleMesh& mesh, const TranslucentSurface& surface,
                              const std::vector<Light>& lights, const Camera& camera, const RenderSettings& settings,

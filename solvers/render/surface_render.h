@@ -62,7 +62,4 @@ RenderedImage render_surface(const TriangleMesh& mesh, const TranslucentSurface&
 RenderedImage render_surface(const TriangleMesh& mesh, const OpaqueSurface& surface, const std::vector<Light>& lights,
                              const Camera& camera, const RenderSettings& settings, Progress& progress = no_progress());
 
-// Unit vertex normals, weighted by the angles of the faces at the vertex; zero where they cancel.
-VertexMatrix vertex_normals(const TriangleMesh& mesh);
-
 }  // namespace shellgrid
