@@ -259,6 +259,18 @@ AreaFrame::AreaFrame(const AreaLight& light) : normal(light.direction.normalized
   right = up.cross(normal);
 }
 
+Rgb radiance(const AreaLight& light, const Vec3& origin, const Vec3& direction, double distance) {
+  const AreaFrame frame(light);
+  const double cosine = -direction.dot(frame.normal);
+  if (!(cosine > 0)) return Rgb::Zero();
+  const double t = (origin - light.position).dot(frame.normal) / cosine;
+  if (!(t > 0) || t > distance) return Rgb::Zero();
+  const Vec3 at = origin + t * direction - light.position;
+  const bool within =
+      std::abs(at.dot(frame.right)) <= 0.5 * light.width && std::abs(at.dot(frame.up)) <= 0.5 * light.height;
+  return within ? light.radiance : Rgb(Rgb::Zero());
+}
+
 std::vector<PatchLight> patch_lights(const AreaLight& light, int count) {
   const AreaFrame frame(light);
   const double edge = std::sqrt(light.width * light.height / std::max(1, count));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <limits>
 #include <memory>
 #include <optional>
 #include <variant>
@@ -30,6 +31,10 @@ struct AreaLight {
   double width = 1, height = 1;     // mm
   Rgb radiance = Rgb::Zero();       // W mm⁻² sr⁻¹
 };
+
+// What a ray from `origin` meets of it on its way of length `distance`: its radiance from its front, else nothing.
+Rgb radiance(const AreaLight& light, const Vec3& origin, const Vec3& direction,
+             double distance = std::numeric_limits<double>::infinity());
 
 // Its unit axes; along its width, its height, and its direction.
 struct AreaFrame {

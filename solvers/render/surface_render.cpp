@@ -38,14 +38,21 @@ class Stage {
     if (geometry.contains(camera.position))
       throw InputError(fmt::format("the camera at ({:g}, {:g}, {:g}) is inside the object; move its position out",
                                    camera.position.x(), camera.position.y(), camera.position.z()));
-    for (const Light& light : lights)
+    for (const Light& light : lights) {
       if (const auto* environment = std::get_if<EnvironmentLight>(&light)) environments.push_back(*environment);
+      if (const auto* area = std::get_if<AreaLight>(&light)) areas.push_back(*area);
+    }
     up = environments.empty() ? Vec3(camera.up.normalized()) : Vec3(environments.front().up.normalized());
   }
 
-  // Radiance from infinitely far away.
-  Rgb far(const Vec3& direction) const {
+  // What a ray meets that meets nothing else: rectangles that shine, before the environment or the background.
+  Rgb lamps(const Vec3& origin, const Vec3& direction) const {
     Rgb sum = Rgb::Zero();
+    for (const AreaLight& area : areas) sum += radiance(area, origin, direction);
+    return sum;
+  }
+  Rgb far(const Vec3& origin, const Vec3& direction) const {
+    Rgb sum = lamps(origin, direction);
     for (const EnvironmentLight& environment : environments) sum += radiance(environment, direction);
     return sum;
   }
@@ -66,6 +73,7 @@ class Stage {
   VertexMatrix normals;
   const RenderSettings& settings;
   std::vector<EnvironmentLight> environments;
+  std::vector<AreaLight> areas;
   Vec3 up;
   std::optional<LitFloor> floor;
   mutable std::atomic<std::int64_t> mirror_rays{0}, shadow_rays{0};
@@ -78,7 +86,8 @@ RenderedImage expose(const Stage& stage, const Camera& camera, const Shade& shad
                      Progress& progress) {
   Film film(camera.width, camera.height, stage.settings.film);
   auto backdrop = [&](const Vec3& origin, const Vec3& direction) -> Rgb {
-    const Rgb behind = stage.settings.background ? *stage.settings.background : stage.far(direction);
+    const Rgb behind = stage.settings.background ? Rgb(*stage.settings.background + stage.lamps(origin, direction))
+                                                 : stage.far(origin, direction);
     if (!stage.floor) return behind;
     const std::optional<double> distance = stage.floor->intersect(origin, direction);
     if (!distance) return behind;
@@ -92,7 +101,7 @@ RenderedImage expose(const Stage& stage, const Camera& camera, const Shade& shad
       const auto reflectance = static_cast<float>(fresnel_reflectance(mirrored.dot(stage.floor->normal()), ior));
       ++stage.mirror_rays;
       const std::optional<Hit> hit = stage.geometry.intersect(point, mirrored);
-      light = light * (1 - reflectance) + reflectance * (hit ? glimpse(*hit, mirrored) : stage.far(mirrored));
+      light = light * (1 - reflectance) + reflectance * (hit ? glimpse(*hit, mirrored) : stage.far(point, mirrored));
     }
     return behind * (1 - opacity) + light * opacity;
   };
@@ -152,7 +161,7 @@ RenderedImage render_surface(const TriangleMesh& mesh, const TranslucentSurface&
     const Vec3 normal = stage.shading_normal(hit, direction);
     const double cosine = std::clamp(-direction.dot(normal), 0.0, 1.0);
     return leaving(hit, cosine) +
-           static_cast<float>(fresnel_reflectance(cosine, ior)) * stage.far(reflect(direction, normal));
+           static_cast<float>(fresnel_reflectance(cosine, ior)) * stage.far(hit.point, reflect(direction, normal));
   };
   auto shade = [&](const Hit& hit, const Vec3& direction, FilmSample& sample) {
     const double cosine = std::clamp(-direction.dot(sample.normal), 0.0, 1.0);
@@ -168,7 +177,7 @@ RenderedImage render_surface(const TriangleMesh& mesh, const TranslucentSurface&
     if (second) {
       seen = glimpse(*second, mirrored);
     } else {
-      seen = stage.far(mirrored);
+      seen = stage.far(origin, mirrored);
       if (stage.floor)
         if (const std::optional<double> distance = stage.floor->intersect(origin, mirrored)) {
           const Vec3 point = origin + *distance * mirrored;

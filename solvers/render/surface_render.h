@@ -48,7 +48,7 @@ struct RenderedImage {
 
 // The picture of a translucent surface: L(ω_o) = M F_t(η, ω_o) / (π ∫₀¹ 2μ F_t dμ) interpolated between vertices, plus
 // the Fresnel mirror image of the environment, the floor and the object itself (one interreflection; the second mirror
-// sees the environment). Lights without extent have no mirror image.
+// sees the environment). Lights without extent have no mirror image; rectangles show where they shine.
 // Source: PHYSICS "Where light leaves".
 // Normals are interpolated between vertices; where that turns them from the viewer, the face's is used.
 // Throws: InputError if the camera is inside the object or not usable, or the exitance does not fit the mesh.

@@ -12,23 +12,9 @@ namespace {
 
 double tent(double u) { return u < 0.5 ? std::sqrt(2 * u) - 1 : 1 - std::sqrt(2 - 2 * u); }
 
-// The rectangle's radiance towards where a ray comes from, if the ray meets its front within `distance`.
-Rgb area_radiance(const AreaLight& light, const AreaFrame& frame, const Vec3& origin, const Vec3& direction,
-                  double distance) {
-  const double cosine = -direction.dot(frame.normal);
-  if (!(cosine > 0)) return Rgb::Zero();
-  const double t = (origin - light.position).dot(frame.normal) / cosine;
-  if (!(t > 0) || t > distance) return Rgb::Zero();
-  const Vec3 at = origin + t * direction - light.position;
-  if (std::abs(at.dot(frame.right)) > 0.5 * light.width || std::abs(at.dot(frame.up)) > 0.5 * light.height)
-    return Rgb::Zero();
-  return light.radiance;
-}
-
 struct Emitters {
   const std::vector<EnvironmentLight>& environments;
   const std::vector<AreaLight>& areas;
-  const std::vector<AreaFrame>& frames;
   const std::optional<Rgb>& background;
 };
 
@@ -43,8 +29,7 @@ class GatheringVisitor {
   void mirrored(const LightPath&) {}
   void outside(const LightPath& path, double distance) {
     Rgb sum = Rgb::Zero();
-    for (std::size_t k = 0; k < emitters_.areas.size(); ++k)
-      sum += area_radiance(emitters_.areas[k], emitters_.frames[k], path.point, path.direction, distance);
+    for (const AreaLight& area : emitters_.areas) sum += radiance(area, path.point, path.direction, distance);
     if (!std::isfinite(distance)) {
       if (!met_object && emitters_.background)
         sum += *emitters_.background;
@@ -101,9 +86,7 @@ CameraPaths::CameraPaths(const TransportObject& object, const std::vector<Light>
 PathKind CameraPaths::kind() const {
   PathKind kind;
   kind.field_size = 3 * pixels_;
-  std::vector<AreaFrame> frames;
-  for (const AreaLight& area : areas_) frames.emplace_back(area);
-  kind.follow = [this, frames](std::uint64_t index, ChunkTally& tally) {
+  kind.follow = [this](std::uint64_t index, ChunkTally& tally) {
     const auto pixel = static_cast<std::size_t>(index % pixels_);
     const auto column = static_cast<double>(pixel % static_cast<std::size_t>(camera_.width)),
                row = static_cast<double>(pixel / static_cast<std::size_t>(camera_.width));
@@ -113,7 +96,7 @@ PathKind CameraPaths::kind() const {
     path.direction = rays_.direction(x, y);
     path.weight = Double4{1.0 / 3, 1.0 / 3, 1.0 / 3, 0};
     object_.begin(path);
-    const Emitters emitters{environments_, areas_, frames, options_.background};
+    const Emitters emitters{environments_, areas_, options_.background};
     GatheringVisitor visitor(emitters);
     std::visit(
         [&](const auto& medium) {

@@ -123,6 +123,13 @@ TEST(Lights, BeamsFollowTheirLaws) {
   EXPECT_FLOAT_EQ(bulb.irradiance[1], 1);
   EnvironmentLight black;
   EXPECT_EQ(simple_lights({DirectionalLight{}, PointLight{}, black}, 64).size(), 2u);
+  // A ray that meets its front sees it, another does not.
+  const AreaLight panel{Vec3(0, 0, 5), Vec3(0, 0, -1), Vec3(0, 1, 0), 2, 6, Rgb(1, 2, 3)};
+  EXPECT_EQ(radiance(panel, Vec3::Zero(), Vec3(0, 0.4, 1).normalized())[1], 2);
+  EXPECT_EQ(radiance(panel, Vec3::Zero(), Vec3(0.4, 0, 1).normalized())[1], 0);
+  EXPECT_EQ(radiance(panel, Vec3::Zero(), Vec3(0, 0, -1))[1], 0);
+  EXPECT_EQ(radiance(panel, Vec3(0, 0, 9), Vec3(0, 0, -1))[1], 0);
+  EXPECT_EQ(radiance(panel, Vec3::Zero(), Vec3(0, 0, 1), 4)[1], 0);
   // A rectangle's patches: together its power, each dark behind it.
   const AreaLight area{Vec3(0, 0, 5), Vec3(0, 0, -1), Vec3(0, 1, 0.5), 2, 6, Rgb(1, 2, 3)};
   const std::vector<PatchLight> patches = patch_lights(area, 48);
