@@ -10,12 +10,12 @@
 #include "meshing/core/error.h"
 #include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
-#include "meshing/formats/number_archive.h"
 #include "meshing/formats/output_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
+#include "pipeline/scene/path_state_file.h"
 #include "pipeline/scene/scene.h"
 #include "solvers/render/tone_map.h"
 #include "solvers/transport/camera_paths.h"
@@ -112,15 +112,11 @@ struct Campaign {
 
   PathState follow(const PathKind& kind, const std::string& fingerprint, StageRun& run) const {
     PathState state(kind.scalars, kind.field_size);
-    if (!state_path.empty() && std::filesystem::exists(state_path)) state = restored(fingerprint, state);
+    if (!state_path.empty() && std::filesystem::exists(state_path))
+      state = read_path_state(state_path, fingerprint, state);
     const std::uint64_t first = state.paths;
-    const auto save = [&](const PathState& now) {
-      NumberArchive archive{"light paths", fingerprint, {}, {}};
-      archive.numbers = {
-          {"sum", now.sum}, {"square", now.square}, {"field_sum", now.field_sum}, {"field_square", now.field_square}};
-      archive.counts = {{"paths", {now.paths}}, {"events", {now.events.begin(), now.events.end()}}};
-      write_number_archive(state_path, archive);
-    };
+    const auto save = [&](const PathState& now) { write_path_state(state_path, fingerprint, now); };
+    if (!state_path.empty()) save(state);  // what cannot be written must not show after hours
     PathLimits held = limits;
     held.interrupted = run.hold_interrupts();
     const auto checkpoint = state_path.empty() ? std::function<void(const PathState&)>() : save;
@@ -137,31 +133,6 @@ struct Campaign {
     results["paths_of_earlier_runs"] = first;
     results["ended_by"] = path_end_name(end);
     for (int k = 0; k < path_event_count; ++k) results["events"][path_event_names()[k]] = state.events[k];
-    return state;
-  }
-
- private:
-  PathState restored(const std::string& fingerprint, const PathState& fresh) const {
-    const NumberArchive archive = read_number_archive(state_path);
-    if (archive.kind != "light paths" || archive.fingerprint != fingerprint)
-      throw InputError(state_path + ": is the state of a run with other inputs or options; remove it, or name another");
-    const auto numbers = [&](const char* name, std::size_t size) {
-      const auto found = archive.numbers.find(name);
-      if (found == archive.numbers.end() || found->second.size() != size)
-        throw InputError(state_path + ": is damaged: its lists do not fit");
-      return found->second;
-    };
-    PathState state = fresh;
-    state.sum = numbers("sum", fresh.sum.size());
-    state.square = numbers("square", fresh.square.size());
-    state.field_sum = numbers("field_sum", fresh.field_sum.size());
-    state.field_square = numbers("field_square", fresh.field_square.size());
-    const auto paths = archive.counts.find("paths"), events = archive.counts.find("events");
-    if (paths == archive.counts.end() || paths->second.size() != 1 || events == archive.counts.end() ||
-        events->second.size() != state.events.size())
-      throw InputError(state_path + ": is damaged: its lists do not fit");
-    state.paths = paths->second[0];
-    std::copy(events->second.begin(), events->second.end(), state.events.begin());
     return state;
   }
 };

@@ -123,6 +123,7 @@ class LightTracing(Reference):
         state = self.bytes_of("kept.state")
         self.refused(3, "scene.json", "ball.off", "-o", "refused.ply", "--state", "kept.state", "--seed", "3",
                      words="other inputs or options")
+        self.refused(3, "scene.json", "ball.off", "-o", "refused.ply", "--state", "nowhere/kept.state", words="nowhere")
         for name, content in (("short", state[:200]), ("flipped", state[:300] + bytes([state[300] ^ 1]) + state[301:]),
                               ("empty", b""), ("text", b"nothing of the kind")):
             with open(type(self).at(name + ".state"), "wb") as file:
