@@ -327,8 +327,31 @@ void halve_numbers(const float* from, float scale, std::size_t begin, std::size_
   for (; i < end; ++i) to[i] = to_half(scale * from[i]);
 }
 
+// Whether the channels' diffusion coefficients are everywhere the same multiples of the first's; which, if so.
+bool proportional_channels(const CellCoefficients& coefficients, Float4& ratio) {
+  const std::vector<Rgb>& extinction = coefficients.reduced_extinction;
+  if (extinction.empty()) return false;
+  const Rgb wanted = extinction[0][0] / extinction[0];
+  const std::size_t chunk = 4096;
+  struct Count {
+    std::int64_t different = 0;
+    Count operator+(const Count& o) const { return {different + o.different}; }
+  };
+  const Count count = parallel_sum(
+      (extinction.size() + chunk - 1) / chunk, Count{},
+      [&](std::size_t k) {
+        Count own;
+        for (std::size_t i = k * chunk; i < std::min(extinction.size(), (k + 1) * chunk); ++i)
+          own.different += ((wanted * extinction[i] - extinction[i][0]).abs() > 1e-6f * extinction[i][0]).any();
+        return own;
+      },
+      1);
+  ratio = to_lanes(wanted);
+  return count.different == 0;
+}
+
 // The half-precision copy, scaled so that its greatest coupling is far from overflow.
-void store_half(RunLevel& level) {
+void store_half(RunLevel& level, const Float4* ratio) {
   const std::size_t n = level.single.values.size();
   const float* from = level.single.values.data();
   const float greatest = parallel_sum((n + 65535) / 65536, Greatest{},
@@ -361,10 +384,28 @@ void store_half(RunLevel& level) {
     return size > 0 && std::isfinite(size) ? std::exp2(14 - std::ilogb(size)) : 1.0;
   };
   const auto scale = static_cast<float>(scale_of(greatest));
-  if (level.half.values.size() != n || !level.half) level.half.values = StreamBuffer<Half>(n);
+  level.half.copies = ratio ? 1 : 3;
+  const std::size_t stored = ratio ? n / 3 : n;
+  if (level.half.values.size() != stored || !level.half) level.half.values = StreamBuffer<Half>(stored);
   Half* to = level.half.values.data();
-  parallel_chunks(n, 1 << 16, [&](std::size_t begin, std::size_t end) { halve_numbers(from, scale, begin, end, to); });
   level.half.factor = Float4{1, 1, 1, 1} / scale;
+  if (ratio) {
+    level.half.factor = *ratio / scale;
+    parallel_for(
+        level.layout.runs.size(),
+        [&](std::size_t r) {
+          const LatticeRun& run = level.layout.runs[r];
+          const std::int64_t first = static_cast<std::int64_t>(coupling_slots) * run.start;
+          for (int slot = 0; slot < coupling_slots; ++slot) {
+            const float* own = from + 3 * first + static_cast<std::int64_t>(3 * slot) * run.length;
+            halve_numbers(own, scale, 0, run.length, to + first + static_cast<std::int64_t>(slot) * run.length);
+          }
+        },
+        64);
+  } else {
+    parallel_chunks(n, 1 << 16,
+                    [&](std::size_t begin, std::size_t end) { halve_numbers(from, scale, begin, end, to); });
+  }
   const auto surface_scale = static_cast<float>(scale_of(surface_greatest));
   level.half.surface.resize(level.single.surface.size());
   parallel_for(
@@ -392,6 +433,8 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
   terms.absorption.assign(levels.front().surface.size(), Float4{});
   terms.area.assign(levels.front().surface.size(), 0.0);
   add_areas(polygrid, fine, terms);
+  Float4 ratio = {};
+  const bool one_copy = proportional_channels(coefficients, ratio);
   CellElements elements;
   std::vector<BoundaryElement> boundary;
   for (std::size_t l = 0; l < levels.size(); ++l) {
@@ -419,7 +462,7 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
     }
     elements = std::move(coarse_elements);
     boundary = std::move(elements.boundary);
-    store_half(level);
+    store_half(level, one_copy ? &ratio : nullptr);
     if (has_coarse) restrict_vector(level, level.reaction, levels[l + 1].layout, levels[l + 1].reaction);
     prepare_smoother(level);
     if (!options.keep_single && level.single.values.size() * sizeof(float) > largest_kept) level.single = {};

@@ -443,9 +443,10 @@ void prepare_smoother(RunLevel& level) {
 }
 
 template <class Real>
-void apply_level(const RunLevel& level, const LevelVector<Real>& x, LevelVector<Real>& result) {
+void apply_level(const RunLevel& level, const LevelVector<Real>& x, LevelVector<Real>& result, bool rounded) {
+  const bool single = level.single && !(rounded && level.half);
   SurfaceLosses<Real> losses;
-  if (level.single)
+  if (single)
     couple_surface(level, level.single, x, losses);
   else
     couple_surface(level, level.half, x, losses);
@@ -453,7 +454,7 @@ void apply_level(const RunLevel& level, const LevelVector<Real>& x, LevelVector<
     const LatticeRun& run = level.layout.runs[r];
     RunLines<Real>& lines = thread_lines<Real>();
     lines.fit(run.length);
-    if (level.single)
+    if (single)
       couple_run(level.layout, level.single, r, x.inner, lines);
     else
       couple_run(level.layout, level.half, r, x.inner, lines);
@@ -472,8 +473,8 @@ void apply_level(const RunLevel& level, const LevelVector<Real>& x, LevelVector<
   });
 }
 
-template void apply_level(const RunLevel&, const LevelVector<float>&, LevelVector<float>&);
-template void apply_level(const RunLevel&, const LevelVector<double>&, LevelVector<double>&);
+template void apply_level(const RunLevel&, const LevelVector<float>&, LevelVector<float>&, bool);
+template void apply_level(const RunLevel&, const LevelVector<double>&, LevelVector<double>&, bool);
 
 void smooth_level(RunLevel& level, const SmoothingStep& step, bool inner_light) {
   SurfaceLosses<float>& losses = surface_losses(level);

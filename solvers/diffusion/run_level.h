@@ -153,9 +153,9 @@ struct RunLevel {
 // Sets the smoother from couplings and reaction.
 void prepare_smoother(RunLevel& level);
 
-// result = A x, with the couplings in single precision where they are kept.
+// result = A x, with the couplings in single precision where they are kept; `rounded`: with those that smooth.
 template <class Real>
-void apply_level(const RunLevel& level, const LevelVector<Real>& x, LevelVector<Real>& result);
+void apply_level(const RunLevel& level, const LevelVector<Real>& x, LevelVector<Real>& result, bool rounded = false);
 
 // x ← x + keep (x − before) + take Z (right_side − A x), before ← old x. `inner_light`: whether the right-hand side has
 // inner parts.

@@ -1,7 +1,11 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // The diffusion solver on a polygrid file (or a ball of n³ cells): seconds and processor seconds of each step, and the
 // exitance's error against the converged solution, beside the memory's speed in the same run.
-//   multigrid_benchmark polygrid.hdf | n
+//   multigrid_benchmark polygrid.hdf | n [--speed]
+// --speed: without the converged solution.
+#include <sys/resource.h>
+
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -10,6 +14,7 @@
 #include <memory>
 #include <string>
 
+#include "meshing/core/parallel.h"
 #include "meshing/formats/vtkhdf_file.h"
 #include "solvers/diffusion/diffusion_solver.h"
 #include "tests/support/polygrid_shapes.h"
@@ -29,8 +34,11 @@ double processor_seconds() {
   return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
 }
 
+double last_processor_seconds = 0;
+
+// Prints and returns the least wall seconds; notes the least processor seconds, of all threads together.
 template <class Work>
-void report_time(const char* what, int repetitions, const Work& work) {
+double report_time(const char* what, int repetitions, const Work& work) {
   double wall = 1e30, processor = 1e30;
   for (int k = 0; k < repetitions; ++k) {
     const double w = wall_seconds(), p = processor_seconds();
@@ -40,6 +48,8 @@ void report_time(const char* what, int repetitions, const Work& work) {
   }
   std::printf("%-40s %8.4f s wall, %8.4f s processor\n", what, wall, processor);
   std::fflush(stdout);
+  last_processor_seconds = processor;
+  return wall;
 }
 
 CellCoefficients veined_marble(const Polygrid& grid) {
@@ -79,44 +89,81 @@ double exitance_error(const std::vector<double>& area, const std::vector<Double4
 int main(int argc, char** argv) {
   if (argc < 2) return 2;
   const std::string name = argv[1];
+  const bool exact_known = !(argc > 2 && std::string(argv[2]) == "--speed");
   Polygrid grid;
   if (name.size() > 4)
     grid = read_polygrid(name);
   else
     grid = test::ball_grid(std::atoi(name.c_str()), 40, 0.1);
   const CellCoefficients coefficients = veined_marble(grid);
+  {
+    const std::size_t n = 16 << 20;
+    std::vector<float> a(n), b(n, 1.0f), c(n, 2.0f);
+    const double triad = report_time("triad of 3 × 64 MiB on all threads", 5, [&] {
+      parallel_chunks(n, 1 << 16, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) a[i] = b[i] + 1.5f * c[i];
+      });
+    });
+    std::printf("   %.1f GB/s, 12 bytes an entry counted\n", 12e-9 * static_cast<double>(n) / triad);
+  }
   std::unique_ptr<DiffusionSolver> solver;
   report_time("levels, once a polygrid", 1, [&] { solver = std::make_unique<DiffusionSolver>(grid); });
   std::printf("levels:");
   for (std::size_t s : solver->level_sizes()) std::printf(" %zu", s);
   std::printf("\n");
-  report_time("set-up of the exact form", 1, [&] { solver->set_material(coefficients, 1.5, 1e-9); });
-  DiffusionLight light;
-  const auto lit = [&](const Vec3& direction) {
-    light.irradiance.clear();
+  const auto lit = [&](double degrees) {
+    const double angle = degrees * M_PI / 180;
+    const Vec3 direction =
+        std::cos(angle) * Vec3(0.5, 0.7, 0.4).normalized() + std::sin(angle) * Vec3(0.7, -0.5, 0).normalized();
+    DiffusionLight light;
     for (std::int32_t p : solver->grid().outer_point) {
       const auto cosine = static_cast<float>(std::max(0.0, grid.point_normal.row(p).dot(direction.transpose())));
       light.irradiance.push_back(Float4{cosine, cosine, cosine, 0});
     }
+    return light;
   };
-  lit(Vec3(0.5, 0.7, 0.4).normalized());
-  SolveReport report = solver->solve(light, 1e-9);
-  const std::vector<Double4> exact = solver->exitance(light);
-  std::printf("to 1e-9: %d iterations; residuals:", report.iterations);
-  for (double x : report.residual_history) std::printf(" %.1e", x);
-  std::printf("\nexitance errors:");
-  for (double x : report.error_history) std::printf(" %.1e", x);
-  std::printf("\n");
-  report_time("set-up after a change of material", 2, [&] { solver->set_material(coefficients, 1.5, 0.005); });
-  for (double tolerance : {0.05, 0.005, 1e-3}) {
-    report_time(("solve to " + std::to_string(tolerance)).c_str(), 5,
-                [&] { report = solver->solve(light, tolerance); });
-    std::printf("   %d cycles, %d iterations, estimated %.2e, true %.2e; energy defect %.1e\n", report.cycles,
-                report.iterations, report.estimated_error,
-                exitance_error(solver->surface().area, solver->exitance(light), exact),
-                solver->energy(light).relative_defect[1]);
+  const DiffusionLight light = lit(0), turned = lit(5);
+  std::vector<Double4> exact, exact_turned;
+  SolveReport report;
+  if (exact_known) {
+    solver->set_material(coefficients, 1.5, 1e-9);
+    solver->solve(turned, 1e-9);
+    exact_turned = solver->exitance(turned);
+    report_time("conjugate gradients to 1e-9", 1, [&] { report = solver->solve(light, 1e-9); });
+    exact = solver->exitance(light);
+    std::printf("   %d iterations; residuals:", report.iterations);
+    for (double x : report.residual_history) std::printf(" %.1e", x);
+    std::printf("\n");
   }
-  std::printf("sweep %.1f MB = %.1f bytes an unknown; memory %.0f bytes an unknown\n", 1e-6 * solver->sweep_bytes(),
-              static_cast<double>(solver->sweep_bytes()) / solver->size(),
-              static_cast<double>(solver->memory_bytes()) / solver->size());
+  report_time("set-up after a change of material", 3, [&] { solver->set_material(coefficients, 1.5, 0.005); });
+  const auto tell = [&](const DiffusionLight& lamp, const std::vector<Double4>& truth, double seconds) {
+    std::printf("   %d cycles, %d iterations, estimated %.2e", report.cycles, report.iterations,
+                report.estimated_error);
+    if (!truth.empty())
+      std::printf(", true %.2e", exitance_error(solver->surface().area, solver->exitance(lamp), truth));
+    std::printf("; energy defect %.1e; %.1f million unknowns (points × RGB) a processor second\n",
+                solver->energy(lamp).relative_defect[1], 3e-6 * static_cast<double>(solver->size()) / seconds);
+  };
+  for (double tolerance : {0.05, 0.005, 1e-3}) {
+    report_time(("cold to " + std::to_string(tolerance)).c_str(), 5, [&] { report = solver->solve(light, tolerance); });
+    tell(light, exact, last_processor_seconds);
+  }
+  solver->solve(light, 0.005);
+  report_time("warm to 0.005, light turned by 5°", 1, [&] { report = solver->solve(turned, 0.005, true); });
+  tell(turned, exact_turned, last_processor_seconds);
+  std::printf("sweep %.1f MB = %.1f bytes an unknown point; solver %.0f bytes an unknown point\n",
+              1e-6 * static_cast<double>(solver->sweep_bytes()),
+              static_cast<double>(solver->sweep_bytes()) / static_cast<double>(solver->size()),
+              static_cast<double>(solver->memory_bytes()) / static_cast<double>(solver->size()));
+  const CellCoefficients plain = homogeneous_coefficients(
+      grid, Material::from_absorption_scattering(Rgb(0.0021f, 0.0041f, 0.0071f), Rgb(2.19f, 2.62f, 3.0f), Rgb::Zero()));
+  report_time("set-up, one material", 1, [&] { solver->set_material(plain, 1.5, 0.005); });
+  report_time("cold to 0.005, one material", 3, [&] { report = solver->solve(light, 0.005); });
+  tell(light, {}, last_processor_seconds);
+  std::printf("sweep %.1f bytes an unknown point\n",
+              static_cast<double>(solver->sweep_bytes()) / static_cast<double>(solver->size()));
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  std::printf("peak memory of the whole program %.2f GiB for %.2f million points\n",
+              static_cast<double>(usage.ru_maxrss) / (1 << 20), 1e-6 * static_cast<double>(solver->size()));
 }
