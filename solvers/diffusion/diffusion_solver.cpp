@@ -359,7 +359,8 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   };
   // Most of what the first finest cycle changes is smooth or rough: it leaves less than cycles do in the long run.
   report.estimated_error = (error_left_ < 0.45 ? std::max(0.05, 0.3 * error_left_) : 10.0) * change;
-  if (start) report.estimated_error = 0.6 * change;        // of smoothing alone
+  // Smoothing alone leaves more, and the old solution's error stays.
+  if (start && warm_by_light_) report.estimated_error = std::hypot(0.2 * change, last_estimate_);
   if (levels_.size() == 1) report.estimated_error = 1e-6;  // solved directly, in single precision
   report.error_history.push_back(report.estimated_error);
   solution_is_exact_ = false;
