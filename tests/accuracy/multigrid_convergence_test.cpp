@@ -117,7 +117,7 @@ TEST(MultigridConvergence, OfAGivenGrid) {
   const char* path = std::getenv("SG_POLYGRID");
   if (!path) GTEST_SKIP() << "SG_POLYGRID names none";
   const Polygrid grid = read_polygrid(path);
-  EXPECT_LE(measure(grid, rough_material(grid, Roughness::none, 1), path).cycle, 0.2);
+  EXPECT_LE(measure(grid, rough_material(grid, Roughness::none, 1), path).iteration, 0.2);
 }
 
 }  // namespace
