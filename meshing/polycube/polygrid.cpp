@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "meshing/polycube/polygrid.h"
 
+#include <fmt/format.h>
+
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -103,6 +105,13 @@ Polygrid build_polygrid(const VoxelPolycube& polycube, const TriangleMesh& surfa
   const Vec3 polycube_high = (extent + Vec3i::Ones()).cast<double>();
   if ((low.array() > polycube_high.array()).any() || (high.array() < 0).any())
     throw InputError("the polycube and the surface do not overlap; expected the polycube of this surface");
+  // A polycube may leave thin extremities out, or be a rough one of the user's own; but not of another size.
+  const double ratio = (high - low).norm() / polycube_high.norm();
+  if (!(ratio > 0.25 && ratio < 4))
+    throw InputError(
+        fmt::format("the surface's box has {:.3g} times the polycube's diagonal; expected the polycube of "
+                    "this surface, in the same unit",
+                    ratio));
 
   PolycubeMapOptions map_options;
   map_options.layer_thickness = options.layer_thickness;

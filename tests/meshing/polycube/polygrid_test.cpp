@@ -238,6 +238,22 @@ TEST(Polygrid, is_valid_whatever_the_polycube) {
   }
 }
 
+TEST(Polygrid, refuses_a_polycube_of_another_size_or_place) {
+  const TriangleMesh sphere = voxel_shapes::sphere(10);
+  PolycubeOptions options;
+  options.nodes = 1500;
+  options.blocks = 200;
+  const VoxelPolycube polycube = build_voxel_polycube(sphere, options);
+  for (double factor : {0.001, 0.2, 5.0, 1000.0}) {
+    TriangleMesh other = sphere;
+    other.vertices *= factor;
+    EXPECT_THROW(build_polygrid(polycube, other, {}), InputError) << factor;
+  }
+  TriangleMesh moved = sphere;
+  moved.vertices.col(1).array() += 40;
+  EXPECT_THROW(build_polygrid(polycube, moved, {}), InputError);
+}
+
 // Blocks scattered at random, made a manifold: corners of every kind, some of which see not all their faces.
 TEST(Polygrid, lays_a_valid_layer_on_any_lattice) {
   RandomStream random(11, 3);
