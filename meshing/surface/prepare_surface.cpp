@@ -87,6 +87,11 @@ PreparedSurface prepare_surface(const TriangleMesh& input, const PrepareOptions&
     if (result.rewrap.dropped_components > 0)
       progress.warn(fmt::format("left out {} of the wrap's components, {:.2g} % of its volume",
                                 result.rewrap.dropped_components, 100 * result.rewrap.dropped_volume));
+    if (result.rewrap.from_input > 2 * result.rewrap.resolution)
+      progress.warn(
+          fmt::format("given triangles lie up to {:.3g} times the resolution from the wrap, which fills "
+                      "cavities and narrow openings",
+                      result.rewrap.from_input / result.rewrap.resolution));
   } else {
     original = repair_surface(input, options.close_holes, result.repair, progress);
   }

@@ -3,7 +3,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "meshing/core/error.h"
+#include "meshing/core/held_warnings.h"
 #include "meshing/core/random.h"
 #include "meshing/surface/prepare_surface.h"
 #include "tests/support/closed_shapes.h"
@@ -84,6 +87,18 @@ TEST(Rewrap, LeavesOutLesserPartsAndSaysSo) {
   EXPECT_EQ(report.dropped_components, 1);
   EXPECT_NEAR(report.dropped_volume, 1.0 / 9, 0.01);
   EXPECT_NEAR(enclosed_volume(wrap), 4.0 / 3 * std::numbers::pi, 0.3);
+}
+
+TEST(Rewrap, WarnsWhereItFillsACavity) {
+  const TriangleMesh ball = shapes::sphere(1, 4);
+  TriangleMesh hollow = shapes::sphere(0.5, 3);
+  hollow = shapes::joined(ball, shapes::turned_around(hollow));
+  for (const bool has_cavity : {false, true}) {
+    HeldWarnings progress(no_progress());
+    prepare_surface(has_cavity ? hollow : ball, {.size = 20, .spacing = 1, .rewrap_share = 0.05}, progress);
+    const auto says_so = [](const std::string& warning) { return warning.find("cavities") != std::string::npos; };
+    EXPECT_EQ(std::any_of(progress.warnings.begin(), progress.warnings.end(), says_so), has_cavity);
+  }
 }
 
 TEST(Rewrap, TakesTheInputsPlaceInPreparing) {
