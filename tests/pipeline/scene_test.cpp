@@ -145,7 +145,8 @@ TEST_F(SceneFile, RefusesWrongTypesAndRanges) {
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {"reflectance": 1.5}}})"), "0 … 1");
   EXPECT_SAYS(complaint(R"({"material": {"opaque": {}, "core": {"named": "marble"}}})"), "material.core: has no place");
   EXPECT_SAYS(complaint(R"({"material": {"shell": {"thickness": 0}}})"), "1e-6 … 10000");
-  EXPECT_SAYS(complaint(R"({"lights": [{"type": "spot"}]})"), "'spot' is none of directional, point, area, environment");
+  EXPECT_SAYS(complaint(R"({"lights": [{"type": "spot"}]})"),
+              "'spot' is none of directional, point, area, environment");
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "point", "position": [0,0,0]}]})"), "lights[0].intensity: is missing");
   EXPECT_SAYS(complaint(R"({"lights": [{"type": "directional", "direction": [0,0,0], "irradiance": 1}]})"),
               "zero vector");
