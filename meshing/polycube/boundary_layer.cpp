@@ -148,7 +148,8 @@ class LayerBuilder {
       // From a valid start with ε = 0 cells that are nearly inverted would hold the others back.
       const bool safe = !inside_.empty() && inside_.front();
       const double epsilon = safe || (step + 1 == steps && lowest > 1e-3) ? 0 : 0.1 * std::pow(0.3, step);
-      optimization.minimize(points, iterations, epsilon);
+      // Where nothing is folded any more the angles gain most.
+      optimization.minimize(points, epsilon == 0 && step > 0 ? 2 * iterations : iterations, epsilon);
       put(all, points);
     }
   }
@@ -635,7 +636,7 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
   builder.set_by_visible_normals();
   builder.project();
   builder.untangle();
-  builder.optimize_all(3, 20, 16, 64);
+  builder.optimize_all(3, 13, 16, 64);
   builder.untangle();
   constexpr int rounds = 3, last_rounds = 4;
   for (int round = 0; round < rounds && builder.is_valid(); ++round) {
@@ -660,8 +661,9 @@ LayeredGrid add_boundary_layer(LatticeGrid core, const TargetSurface& surface, d
     builder.snap(true);
     builder.improve(builder.cells_to_improve(), 3, 2, 0, true);
   }
-  builder.snap(false);
-  builder.polish();
+  const bool was_improved = left != std::numeric_limits<std::size_t>::max();
+  if (was_improved) builder.snap(false);
+  if (was_improved) builder.polish();
   progress.end();
   return grid;
 }
