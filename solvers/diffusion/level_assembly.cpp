@@ -8,6 +8,7 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "solvers/diffusion/element_lanes.h"
+#include "solvers/diffusion/polygrid_system.h"
 #include "solvers/diffusion/trilinear_cell.h"
 
 namespace shellgrid {
@@ -286,23 +287,14 @@ void add_areas(const Polygrid& polygrid, const FineGrid& fine, SurfaceTerms& ter
   std::vector<std::int32_t> outer_of(polygrid.points.rows(), -1);
   for (std::size_t s = 0; s < fine.outer_point.size(); ++s)
     outer_of[fine.outer_point[s]] = static_cast<std::int32_t>(s);
-  const double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
   for (Eigen::Index quad = 0; quad < polygrid.boundary_quads.rows(); ++quad) {
-    Vec3 x[4];
-    for (int a = 0; a < 4; ++a) x[a] = polygrid.points.row(polygrid.boundary_quads(quad, a)).transpose();
-    for (double s : gauss)
-      for (double t : gauss) {
-        const Vec3 along_s = (1 - t) * (x[1] - x[0]) + t * (x[2] - x[3]);
-        const Vec3 along_t = (1 - s) * (x[3] - x[0]) + s * (x[2] - x[1]);
-        const double area = 0.25 * along_s.cross(along_t).norm();
-        const double value[4] = {(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t};
-        for (int a = 0; a < 4; ++a) {
-          const std::int32_t outer = outer_of[polygrid.boundary_quads(quad, a)];
-          if (outer < 0) throw InputError("polygrid: a boundary quad's point is no outer point");
-          terms.area[outer] += area * value[a];
-        }
-        terms.total_area += area;
-      }
+    const std::array<double, 4> area = quad_areas(polygrid, quad);
+    for (int a = 0; a < 4; ++a) {
+      const std::int32_t outer = outer_of[polygrid.boundary_quads(quad, a)];
+      if (outer < 0) throw InputError("polygrid: a boundary quad's point is no outer point");
+      terms.area[outer] += area[a];
+      terms.total_area += area[a];
+    }
   }
 }
 

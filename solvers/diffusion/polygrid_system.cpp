@@ -272,27 +272,34 @@ void gather_rows(const Polygrid& polygrid, const std::vector<ElementTerms>& elem
       1);
 }
 
-// ∫ h_i dA over the quads, 2×2 Gauss points each.
 void add_boundary_areas(const Polygrid& polygrid, PolygridSystem& system) {
   system.boundary_area.assign(system.point_of_unknown.size(), 0.0);
-  const double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
   for (Eigen::Index quad = 0; quad < polygrid.boundary_quads.rows(); ++quad) {
-    Vec3 x[4];
-    for (int a = 0; a < 4; ++a) x[a] = polygrid.points.row(polygrid.boundary_quads(quad, a)).transpose();
-    for (double s : gauss)
-      for (double t : gauss) {
-        const Vec3 along_s = (1 - t) * (x[1] - x[0]) + t * (x[2] - x[3]);
-        const Vec3 along_t = (1 - s) * (x[3] - x[0]) + s * (x[2] - x[1]);
-        const double area = 0.25 * along_s.cross(along_t).norm();
-        const double value[4] = {(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t};
-        for (int a = 0; a < 4; ++a)
-          system.boundary_area[system.unknown_of_point[polygrid.boundary_quads(quad, a)]] += area * value[a];
-        system.surface_area += area;
-      }
+    const std::array<double, 4> area = quad_areas(polygrid, quad);
+    for (int a = 0; a < 4; ++a) {
+      system.boundary_area[system.unknown_of_point[polygrid.boundary_quads(quad, a)]] += area[a];
+      system.surface_area += area[a];
+    }
   }
 }
 
 }  // namespace
+
+std::array<double, 4> quad_areas(const Polygrid& polygrid, Eigen::Index quad) {
+  constexpr double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+  Vec3 x[4];
+  for (int a = 0; a < 4; ++a) x[a] = polygrid.points.row(polygrid.boundary_quads(quad, a)).transpose();
+  std::array<double, 4> result{};
+  for (double s : gauss)
+    for (double t : gauss) {
+      const Vec3 along_s = (1 - t) * (x[1] - x[0]) + t * (x[2] - x[3]);
+      const Vec3 along_t = (1 - s) * (x[3] - x[0]) + s * (x[2] - x[1]);
+      const double area = 0.25 * along_s.cross(along_t).norm();
+      const double value[4] = {(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t};
+      for (int a = 0; a < 4; ++a) result[a] += area * value[a];
+    }
+  return result;
+}
 
 double check_polygrid(const Polygrid& polygrid) {
   check_indices(polygrid);

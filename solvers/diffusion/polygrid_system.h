@@ -31,6 +31,9 @@ struct PolygridSystem : DiffusionSystem {
 // the cells' volume, mm³.
 double check_polygrid(const Polygrid& polygrid);
 
+// ∫ h_a dA over a boundary quad for its four corners, mm²; 2×2 Gauss points.
+std::array<double, 4> quad_areas(const Polygrid& polygrid, Eigen::Index quad);
+
 // Assembles ∫ D ∇φ·∇v + ∫ σ_a φ v + ∫_A φ v / (2C) on trilinear elements. Source: PHYSICS D1, D2.
 // Core cells take 2×2×2 Gauss points; thin boundary cells take their corners, which decouples the two
 // faces' points but for the links, so that a layer of any thinness stays solvable; absorption and surface
