@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // A polygrid, its system and its solution, for tests of the diffusion solver.
 #pragma once
+#include <Eigen/LU>
 #include <functional>
 #include <vector>
 
@@ -75,13 +76,28 @@ inline double exitance_error(const SolvedProblem& p, const std::function<double(
   return std::sqrt(error / size);
 }
 
-// Relative L2 error of the fluence of channel 0 over the points.
+// mm³, by one Gauss point.
+inline double cell_volume(const Polygrid& grid, Eigen::Index cell) {
+  static const int corner[8][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0},
+                                   {0, 0, 1}, {1, 0, 1}, {1, 1, 1}, {0, 1, 1}};
+  Eigen::Matrix3d jacobian = Eigen::Matrix3d::Zero();
+  for (int a = 0; a < 8; ++a)
+    for (int axis = 0; axis < 3; ++axis)
+      jacobian.col(axis) += (corner[a][axis] ? 0.25 : -0.25) * grid.points.row(grid.cells(cell, a)).transpose();
+  return jacobian.determinant();
+}
+
+// Relative L2 error of the fluence of channel 0 over the volume.
 inline double fluence_error(const SolvedProblem& p, const std::function<double(const Vec3&)>& exact) {
+  std::vector<double> volume(p.fluence.size());
+  for (Eigen::Index cell = 0; cell < p.grid.cells.rows(); ++cell)
+    for (int a = 0; a < 8; ++a)
+      volume[p.system.unknown_of_point[p.grid.cells(cell, a)]] += cell_volume(p.grid, cell) / 8;
   double error = 0, size = 0;
   for (std::size_t u = 0; u < p.fluence.size(); ++u) {
     const double expected = exact(p.position(u));
-    error += (p.fluence[u][0] - expected) * (p.fluence[u][0] - expected);
-    size += expected * expected;
+    error += volume[u] * (p.fluence[u][0] - expected) * (p.fluence[u][0] - expected);
+    size += volume[u] * expected * expected;
   }
   return std::sqrt(error / size);
 }
