@@ -191,7 +191,7 @@ void add_layer_cell(const CellCorners& corners, const Rgb* absorption, const Rgb
       const Float4 value = colours * diffusion * static_cast<float>(-with_own);
       const int a = node[q], b = node[along[q][k]];
       if (a % 8 == b % 8)
-        element.through[a % 8][a % 8] += value;
+        element.through[a % 8] += value;
       else
         element.coupling(a, b) += value;
       for (int l = k + 1; l < 3; ++l)
@@ -203,9 +203,7 @@ void add_layer_cell(const CellCorners& corners, const Rgb* absorption, const Rgb
 }
 
 void add_coarse_boundary(const BoundaryElement& child, int octant, BoundaryElement& parent) {
-  Float4 m[16][16], w[8][8];
-  for (int a = 0; a < 8; ++a)
-    for (int b = 0; b < 8; ++b) w[a][b] = child.through[a][b];
+  Float4 m[16][16];
   for (int a = 0; a < 16; ++a) m[a][a] = Float4{};
   for (int a = 0; a < 16; ++a)
     for (int b = a + 1; b < 16; ++b) {
@@ -217,12 +215,9 @@ void add_coarse_boundary(const BoundaryElement& child, int octant, BoundaryEleme
   for (int axis = 0; axis < 3; ++axis) {
     const AxisWeights weights = axis_weights(octant >> axis & 1);
     lift_axis(m, 1 << axis, weights);
-    lift_axis(w, 1 << axis, weights);
   }
   for (int a = 0; a < 16; ++a)
     for (int b = a + 1; b < 16; ++b) parent.coupling(a, b) += m[a][b];
-  for (int a = 0; a < 8; ++a)
-    for (int b = 0; b < 8; ++b) parent.through[a][b] += w[a][b];
 }
 
 }  // namespace shellgrid

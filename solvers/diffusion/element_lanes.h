@@ -36,11 +36,11 @@ void core_elements(const CellLanes& cells, ElementLanes& elements);
 // Couplings of the parents' corners that each child brings: Pᵀ K P with the child's trilinear weights.
 void coarsen_elements(const ElementLanes& children, const std::uint8_t* octant, int count, ElementLanes& parents);
 
-// Couplings among a core cell's corners (0–7) and the outer points above them (8–15), and the matrix W between corners
-// by which light flows along the links: W (x_outer − x_inner).
+// Couplings among a core cell's corners (0–7) and the outer points above them (8–15), and what flows along the links
+// between both: through (x_outer − x_inner), which coarse elements leave out.
 struct BoundaryElement {
   std::array<Float4, 120> value{};
-  Float4 through[8][8] = {};
+  Float4 through[8] = {};
   static constexpr int number(int a, int b) { return a < b ? a * (31 - a) / 2 + b - a - 1 : number(b, a); }
   const Float4& coupling(int a, int b) const { return value[number(a, b)]; }
   Float4& coupling(int a, int b) { return value[number(a, b)]; }

@@ -210,7 +210,7 @@ void add_boundary_element(const BoundaryElement& element, std::size_t place, Run
     for (int b = a + 1; b < 8; ++b)
       if (mask >> b & 1) add_coupling(level, cell, a, b, element.coupling(a, b));
     const std::int32_t s = outer[a];
-    level.link[s] += element.through[a][a];
+    level.link[s] += element.through[a];
     for (int b = 0; b < 8; ++b) {
       if (b == a || !(mask >> b & 1)) continue;
       const auto first = level.surface.neighbour.begin() + level.surface.start[s];
@@ -224,7 +224,6 @@ void add_boundary_element(const BoundaryElement& element, std::size_t place, Run
         pair.twin_outer[c] += twin_outer[c];
         pair.outer_twin[c] += outer_twin[c];
       }
-      if (!level.across.empty()) level.across[at] += element.through[a][b];
     }
   }
 }
@@ -432,8 +431,7 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
   for (std::size_t l = 0; l < levels.size(); ++l) {
     RunLevel& level = levels[l];
     clear_couplings(level);
-    level.link.assign(level.surface.size(), Float4{});
-    level.across.assign(l > 0 ? level.surface.neighbour.size() : 0, Float4{});
+    if (l == 0) level.link.assign(level.surface.size(), Float4{});
     level.extra.assign(level.layout.extras.size(), Float4{});
     CellElements coarse_elements;
     const bool has_coarse = l + 1 < levels.size();
@@ -455,7 +453,11 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
     elements = std::move(coarse_elements);
     boundary = std::move(elements.boundary);
     store_half(level, one_copy ? &ratio : nullptr);
-    if (has_coarse) restrict_vector(level, level.reaction, levels[l + 1].layout, levels[l + 1].reaction);
+    if (has_coarse) {
+      restrict_vector(level, level.reaction, levels[l + 1].layout, levels[l + 1].reaction);
+      levels[l + 1].link.resize(levels[l + 1].surface.size());
+      restrict_outer_vector(level, level.link, levels[l + 1].link);
+    }
     prepare_smoother(level);
     if (!options.keep_single && level.single.values.size() * sizeof(float) > largest_kept) level.single = {};
   }

@@ -244,12 +244,7 @@ void couple_surface(const RunLevel& level, const LevelCouplings<Store>& coupling
   for_outer(n, [&](std::size_t s) {
     Lanes4<Real> outer_sum = {}, twin_sum = {};
     couple_pairs(surface, couplings.surface.data(), losses.pair, s, outer_sum, twin_sum);
-    Lanes4<Real> through = widen(level.link[s], Lanes4<Real>{}) * (losses.pair[s].outer - losses.pair[s].twin);
-    if (!level.across.empty())
-      for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
-        const auto& there = losses.pair[surface.neighbour[k]];
-        through += widen(level.across[k], Lanes4<Real>{}) * (there.outer - there.twin);
-      }
+    const Lanes4<Real> through = widen(level.link[s], Lanes4<Real>{}) * (losses.pair[s].outer - losses.pair[s].twin);
     losses.outer_loss[s] = factor * outer_sum + through;
     losses.twin_loss[s] = factor * twin_sum - through;
   });
@@ -382,10 +377,6 @@ void prepare_smoother(RunLevel& level, const LevelCouplings<Store>& couplings) {
       outer_size += absolute(a) + absolute(b);
       twin += c;
       twin_size += absolute(c);
-      if (level.across.empty()) continue;
-      // As couplings, W's entries have the wrong sign among equals.
-      outer_size += 2.0f * absolute(level.across[k]);
-      twin_size += 2.0f * absolute(level.across[k]);
     }
     const Float4 link = level.link[s];
     twin_sum[s] = twin + link;

@@ -135,12 +135,12 @@ struct RunLevel {
   LevelCouplings<Half> half;
   LevelCouplings<float> single;
   LevelVector<float> reaction;
-  // Through the thin layer: what flows from outer to inner points is W (x_outer − x_twin), W symmetric. Apart from the
-  // other couplings, so that these keep their precision beside it where the layer is thin.
-  std::vector<Float4> link;          // W's diagonal, of each outer point
-  std::vector<Float4> across;        // its other entries, as SurfaceLayout::neighbour; none on the finest level
-  std::vector<Float4> extra;         // of layout.extras
-  ChannelPlanes<UpperHalf> inverse;  // smoother: of the diagonal or the pair's 2×2 block
+  // Through the thin layer: what flows from an outer point to its twin is link (x_outer − x_twin). Apart from the other
+  // couplings, so that these keep their precision beside it where the layer is thin. Coarse levels take the sums of the
+  // Galerkin product's rows: its other entries would hide the pairs' common part, which is weak, from the smoother.
+  std::vector<Float4> link;                                       // of each outer point
+  std::vector<Float4> extra;                                      // of layout.extras
+  ChannelPlanes<UpperHalf> inverse;                               // smoother: of the diagonal or the pair's 2×2 block
   std::vector<Float4> twin_inverse, pair_inverse, outer_inverse;  // of the blocks; `inverse` is 0 at twins
 
   LevelVector<float> x, before, right_side;

@@ -91,11 +91,10 @@ TEST(MultigridConvergence, OfCubesAndBallsWithThinLayers) {
       const Polygrid cube = test::cube_grid(n, 20, layer), ball = test::ball_grid(n, 10, layer);
       const Factors of_cube = measure(cube, rough_material(cube, Roughness::none, 1), "cube " + name);
       const Factors of_ball = measure(ball, rough_material(ball, Roughness::none, 1), "ball, flat edge cells, " + name);
-      EXPECT_LE(of_cube.iteration, 0.2);
-      EXPECT_LE(of_ball.iteration, 0.2);
-      // Under layers of a hundredth the cycle alone slows on fine grids, where the links' precision shows.
-      EXPECT_LE(of_cube.cycle, layer < 0.1 ? 0.35 : 0.2);
-      EXPECT_LE(of_ball.cycle, layer < 0.1 ? 0.4 : 0.2);
+      EXPECT_LE(of_cube.iteration, 0.05);
+      EXPECT_LE(of_ball.iteration, 0.1);
+      EXPECT_LE(of_cube.cycle, 0.1);
+      EXPECT_LE(of_ball.cycle, 0.2);
     }
 }
 
