@@ -70,11 +70,34 @@ demo: programs assets/meshes/bunny00.off
 	  printf '%-9s %s\n' records "$$out/*.json" && \
 	  awk -v from=$$started -v to=$$(date +%s.%N) 'BEGIN {printf "%-9s %.1f s\n", "time", to - from}'
 
-bench: build assets/meshes/bunny00.off
+# The bunny's grids for the diffusion benchmark; the finest one judges the others' discretisation.
+bunny := out/bench/bunny
+bunny_sizes := 1e5 3e5 1e6 $(if $(SG_LONG),3e6)
+$(bunny)/surface.ply: assets/meshes/bunny00.off | programs
+	@mkdir -p $(@D) && $(BUILD)/bin/sg-prepare -q $< -o $@ --size 80 --spacing 0.5
+$(bunny)/tets.hdf: $(bunny)/surface.ply
+	@$(BUILD)/bin/sg-tetrahedralize -q $< -o $@
+$(bunny)/polycube-%.hdf: $(bunny)/tets.hdf
+	@$(BUILD)/bin/sg-polycube -q $< -o $@ --nodes $*
+$(bunny)/polygrid-%.hdf: $(bunny)/polycube-%.hdf $(bunny)/surface.ply
+	@echo "bunny, $* nodes" && $(BUILD)/bin/sg-polygrid -q $^ -o $@
+# Tetrahedra with about as many points: the spacing follows from the object's 102 560 mm³.
+tetrahedra_spacing = $(shell awk 'BEGIN {printf "%.3f", (1.32 * 102560 / $(1)) ^ (1 / 3)}')
+$(bunny)/tets-%.hdf: assets/meshes/bunny00.off | programs
+	@echo "bunny, $* points of tetrahedra" && mkdir -p $(@D) && \
+	  $(BUILD)/bin/sg-prepare -q $< -o $(bunny)/surface-$*.ply --size 80 --spacing $(call tetrahedra_spacing,$*) && \
+	  $(BUILD)/bin/sg-tetrahedralize -q $(bunny)/surface-$*.ply -o $@ --spacing $(call tetrahedra_spacing,$*) \
+	    --proxy-faces 1e8 --limit 3600
+.SECONDARY:
+
+bench: build assets/meshes/bunny00.off $(bunny_sizes:%=$(bunny)/polygrid-%.hdf) \
+    $(patsubst %,$(bunny)/tets-%.hdf,$(filter-out $(if $(SG_LONG),,1e6),$(bunny_sizes)))
 	@mkdir -p out/bench
+	@$(BUILD)/bin/multigrid_benchmark $(bunny)/polygrid-1e6.hdf > out/bench/multigrid.txt && cat out/bench/multigrid.txt
 	@for program in $(BUILD)/bin/*_benchmark; do \
 	  [ -x "$$program" ] || continue; name=$$(basename "$$program" _benchmark); echo "$$name"; \
-	  "$$program" > "out/bench/$$name.csv" && cat "out/bench/$$name.csv" || exit 1; \
+	  case "$$name" in multigrid) continue;; diffusion) inputs=$(bunny);; *) inputs=;; esac; \
+	  "$$program" $$inputs > "out/bench/$$name.csv" && cat "out/bench/$$name.csv" || exit 1; \
 	  plot="tests/benchmarks/$$name.gnuplot"; \
 	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot" || exit 1; fi; \
 	done

@@ -7,6 +7,8 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <optional>
 #include <string>
@@ -18,8 +20,8 @@
 namespace shellgrid {
 namespace {
 
-// In the child: runs TetGen and sends the mesh through the pipe.
-bool send_tetrahedra(const TriangleMesh& surface, int pipe) {
+// In the child: runs TetGen and sends the mesh through the pipe. `largest`: volume of a tetrahedron, mm³; 0: any.
+bool send_tetrahedra(const TriangleMesh& surface, double largest, int pipe) {
   tetgenio in, out;
   in.firstnumber = 0;
   in.numberofpoints = surface.vertex_count();
@@ -38,7 +40,8 @@ bool send_tetrahedra(const TriangleMesh& surface, int pipe) {
     polygon.vertexlist = new int[3];
     for (int k = 0; k < 3; ++k) polygon.vertexlist[k] = surface.faces(f, k);
   }
-  char switches[] = "pYQ";
+  char switches[64] = "pYQ";
+  if (largest > 0) std::snprintf(switches, sizeof switches, "pYq1.4a%.12fQ", largest);
   {
     const ForeignCode foreign;
     ::tetrahedralize(switches, &in, &out);
@@ -64,9 +67,12 @@ double total_volume(const TetrahedralMesh& mesh) {
   return volume;
 }
 
-std::optional<TetrahedralMesh> fill(const TriangleMesh& surface, double limit_seconds) {
-  const GuardedAnswer answer =
-      run_guarded(limit_seconds, 4 * limit_seconds, [&](int pipe) { return send_tetrahedra(surface, pipe); });
+std::optional<TetrahedralMesh> fill(const TriangleMesh& surface, const TetrahedralizeOptions& options) {
+  // A regular tetrahedron has 0.118 edge³. TetGen's stay well below the largest volume allowed: their mean is about
+  // half of it.
+  const double largest = 2 * 0.118 * std::pow(options.spacing, 3);
+  const GuardedAnswer answer = run_guarded(options.limit_seconds, 4 * options.limit_seconds,
+                                           [&](int pipe) { return send_tetrahedra(surface, largest, pipe); });
   const std::string& bytes = answer.bytes;
   if (!answer.finished || bytes.size() < 2 * sizeof(std::int64_t)) return std::nullopt;
   std::int64_t counts[2];
@@ -129,11 +135,18 @@ TriangleMesh boundary_of(const TetrahedralMesh& mesh) {
 TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const TetrahedralizeOptions& options,
                                     Progress& progress) {
   if (surface.face_count() < 4) throw InputError("the surface has fewer than four faces; expected a closed surface");
+  if (options.spacing > 0) {
+    const double edges = (surface.vertices.colwise().maxCoeff() - surface.vertices.colwise().minCoeff()).prod() /
+                         std::pow(options.spacing, 3);
+    if (!(edges < 2e7))
+      throw InputError("spacing " + std::to_string(options.spacing) +
+                       " mm: the object would take more than 1e8 tetrahedra; give a greater spacing");
+  }
   TetrahedralizeResult result;
   progress.begin("tetrahedra", 0);
   if (surface.face_count() > options.proxy_faces) {
     const TriangleMesh proxy = simplify_surface(surface, options.proxy_faces);
-    if (std::optional<TetrahedralMesh> mesh = fill(proxy, options.limit_seconds)) {
+    if (std::optional<TetrahedralMesh> mesh = fill(proxy, options)) {
       progress.end();
       result.mesh = std::move(*mesh);
       result.volume = total_volume(result.mesh);
@@ -143,7 +156,7 @@ TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const Tetrahedr
     }
     progress.warn("the simplified surface could not be filled with tetrahedra; trying the given one");
   }
-  std::optional<TetrahedralMesh> mesh = fill(surface, options.limit_seconds);
+  std::optional<TetrahedralMesh> mesh = fill(surface, options);
   progress.end();
   if (!mesh)
     throw InputError(

@@ -9,6 +9,9 @@ namespace shellgrid {
 struct TetrahedralizeOptions {
   int proxy_faces = 60000;     // a heavier surface is simplified to about so many faces first
   double limit_seconds = 120;  // processor time of the mesher's process
+  // mm: inside, tetrahedra grow no larger than regular ones of about this edge, and are shaped well, for computing on
+  // them; 0: as few as fill the surface.
+  double spacing = 0;
 };
 
 struct TetrahedralizeResult {
@@ -22,7 +25,7 @@ struct TetrahedralizeResult {
 // polycube needs a volume of the right shape and genus at its blocks' scale, not every triangle. TetGen runs in
 // a child process with limits, because it crashes on surfaces that cross themselves; where it fails on the
 // simplified surface the given one is tried.
-// Throws: InputError where the surface cannot be filled.
+// Throws: InputError where the surface cannot be filled, or would take more than about 1e8 tetrahedra.
 TetrahedralizeResult tetrahedralize(const TriangleMesh& surface, const TetrahedralizeOptions& options,
                                     Progress& progress = no_progress());
 

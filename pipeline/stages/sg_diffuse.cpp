@@ -111,6 +111,7 @@ int main(int argc, char** argv) {
                                                                                                 source = "scene";
   double tolerance = 0;
   DiffusionOptions options;
+  std::vector<double> depths(options.paper_depths.begin(), options.paper_depths.end());
   program.input("scene.json", scene_path, "lights, method, object.ior, and material.core where there is no shell");
   program.input("polygrid.hdf", polygrid_path, "the object's hexahedra");
   program.input("surface.ply", surface_path, "the object's surface");
@@ -119,6 +120,14 @@ int main(int argc, char** argv) {
   program.output_option("--exitance", exitance_path, "exitance.ply", "the surface with its exitance");
   program.option("--operator", method, "elements conserves energy and is second order; paper is the 2008 one",
                  {"scene", "elements", "paper"});
+  program.option("--paper-solver", options.paper_solver,
+                 "of the operator paper: conjugate gradients, or the paper's relaxation on one level, from coarse to "
+                 "fine, or with deep nodes left to coarser levels",
+                 {"krylov", "jacobi", "hierarchical", "adaptive"});
+  program.list_option("--paper-depths", depths, "links",
+                      "adaptive: how deep the nodes of the finest level, the next coarser one, … are relaxed; levels "
+                      "beyond the list are as a whole",
+                      1, 1e6);
   program.option("--source", source,
                  "where light becomes diffuse: at the surface, or where refracted beams first meet matter",
                  {"scene", "boundary", "first-collision"});
@@ -142,6 +151,7 @@ int main(int argc, char** argv) {
     options.operator_name = method == "scene" ? scene.method.operator_name : method;
     options.source = source == "scene" ? scene.method.source : source;
     options.tolerance = tolerance > 0 ? tolerance : scene.method.tolerance;
+    options.paper_depths.assign(depths.begin(), depths.end());
     if (!initial_path.empty()) options.initial = read_fluence(initial_path, polygrid.points.rows());
     std::variant<const ShellVolume*, Material> material = &shell;
     if (shell_path.empty()) material = core_material(scene);

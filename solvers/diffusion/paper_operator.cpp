@@ -82,7 +82,8 @@ ChannelSystem assemble(const PolygridGraph& graph, const PaperProblem& problem, 
 struct ChannelSolution {
   Eigen::VectorXd psi;
   int iterations = 0;
-  double residual = 0;
+  double residual = 1;  // before the last iteration where it was stopped
+  bool stopped = false;
   std::vector<double> history;
 };
 
@@ -100,19 +101,55 @@ ChannelSolution solve_bicgstab(const ChannelSystem& system, const PaperProblem& 
   return solution;
 }
 
-// Source: [Diffusion §5.2], the update of the radiance buffer.
-ChannelSolution relax(const ChannelSystem& system, const PaperProblem& problem, const Eigen::VectorXd& start) {
+// The interior nodes at most `depth` links below the boundary, ascending; the first layer has the depth 1.
+std::vector<std::int32_t> nodes_within(const PolygridGraph& graph, int depth) {
+  std::vector<char> taken(static_cast<std::size_t>(graph.interior.rows()), 0);
+  std::vector<std::int32_t> layer, nodes;
+  for (std::int32_t owner : graph.boundary_owner)
+    if (!taken[owner]) taken[owner] = 1, layer.push_back(owner);
+  for (int d = 1; d <= depth && !layer.empty(); ++d) {
+    nodes.insert(nodes.end(), layer.begin(), layer.end());
+    std::vector<std::int32_t> below;
+    for (std::int32_t i : layer)
+      for (int k = 0; k < 6; ++k)
+        if (const std::int32_t j = graph.links(i, k); j >= 0 && !taken[j]) taken[j] = 1, below.push_back(j);
+    layer = std::move(below);
+  }
+  std::sort(nodes.begin(), nodes.end());
+  return nodes;
+}
+
+// The update of the radiance buffer at all nodes, or at `active` ones where `some`. Source: [Diffusion §5.2].
+ChannelSolution relax(const ChannelSystem& system, const PaperProblem& problem, const Eigen::VectorXd& start, bool some,
+                      const std::vector<std::int32_t>& active, int level, int channel) {
   ChannelSolution solution;
   const Eigen::VectorXd inverse_diagonal = system.matrix.diagonal().cwiseInverse();
   const double size = system.light.norm();
+  const auto count = some ? static_cast<Eigen::Index>(active.size()) : system.light.size();
+  Eigen::VectorXd change(count);
   solution.psi = start;
-  for (; solution.iterations < problem.most_iterations; ++solution.iterations) {
-    const Eigen::VectorXd residual = system.light - system.matrix * solution.psi;
-    const double relative = residual.norm() / size;
-    solution.history.push_back(relative);
-    if (!(relative > problem.tolerance)) break;
-    if (relative > 1e6) throw NumericalError("paper's operator: its relaxation diverges on this grid");
-    solution.psi += inverse_diagonal.cwiseProduct(residual);
+  const int* row_start = system.matrix.outerIndexPtr();
+  const int* column = system.matrix.innerIndexPtr();
+  const double* value = system.matrix.valuePtr();
+  for (;; ++solution.iterations) {
+    if (problem.watch) solution.stopped = problem.watch({level, channel, solution.iterations, solution.residual, solution.psi});
+    if (solution.stopped && !solution.history.empty()) break;
+    double sum = 0;
+    for (Eigen::Index k = 0; k < count; ++k) {
+      const Eigen::Index i = some ? active[k] : k;
+      double residual = system.light[i];
+      for (int m = row_start[i]; m < row_start[i + 1]; ++m) residual -= value[m] * solution.psi[column[m]];
+      change[k] = inverse_diagonal[i] * residual;
+      sum += residual * residual;
+    }
+    solution.residual = std::sqrt(sum) / size;
+    solution.history.push_back(solution.residual);
+    if (!(solution.residual > problem.tolerance) || solution.iterations == problem.most_iterations) break;
+    if (solution.residual > 1e6) throw NumericalError("paper's operator: its relaxation diverges on this grid");
+    if (some)
+      for (Eigen::Index k = 0; k < count; ++k) solution.psi[active[k]] += change[k];
+    else
+      solution.psi += change;
   }
   return solution;
 }
@@ -122,7 +159,13 @@ PaperProblem coarsen(const PaperProblem& problem, const PolygridLevel& level) {
   const auto nodes = static_cast<std::size_t>(level.graph.interior.rows());
   const std::size_t boundary = level.graph.boundary_owner.size();
   const Rgb zero = Rgb::Zero();
-  PaperProblem coarse = problem;
+  PaperProblem coarse;
+  coarse.boundary_factor = problem.boundary_factor;
+  coarse.tolerance = problem.tolerance;
+  coarse.most_iterations = problem.most_iterations;
+  coarse.method = problem.method;
+  if (!problem.depths.empty()) coarse.depths.assign(problem.depths.begin() + 1, problem.depths.end());
+  coarse.watch = problem.watch;
   coarse.diffusion = average_children(level.parent, nodes, problem.diffusion, zero);
   coarse.absorption = average_children(level.parent, nodes, problem.absorption, zero);
   coarse.boundary_diffusion = average_children(level.boundary_parent, boundary, problem.boundary_diffusion, zero);
@@ -130,28 +173,31 @@ PaperProblem coarsen(const PaperProblem& problem, const PolygridLevel& level) {
   return coarse;
 }
 
-}  // namespace
-
-PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProblem& problem,
-                                   std::span<const PolygridLevel> levels) {
+PaperSolution solve_level(const PolygridGraph& graph, const PaperProblem& problem,
+                          std::span<const PolygridLevel> levels, int number) {
   check(graph, problem);
   const Eigen::Index n = graph.interior.rows(), b = graph.boundary.rows();
   PaperSolution result;
   std::vector<Rgb> start(n, Rgb::Zero());
+  bool has_start = false;
   if (!levels.empty()) {
     const PolygridLevel& level = levels.front();
     if (static_cast<Eigen::Index>(level.parent.size()) != n ||
         static_cast<Eigen::Index>(level.boundary_parent.size()) != b)
       throw InputError("polygrid: its hierarchy does not match its graph");
     try {
-      PaperSolution coarse = solve_paper_operator(level.graph, coarsen(problem, level), levels.subspan(1));
+      PaperSolution coarse = solve_level(level.graph, coarsen(problem, level), levels.subspan(1), number + 1);
       for (Eigen::Index i = 0; i < n; ++i) start[i] = coarse.interior[level.parent[i]];
       result.coarse_iterations = std::move(coarse.coarse_iterations);
       result.coarse_iterations.push_back(coarse.iterations);
+      has_start = true;
     } catch (const NumericalError&) {
       // A level too coarse for the paper's operator gives no start.
     }
   }
+  const bool some = has_start && !problem.depths.empty() && problem.depths[0] > 0;
+  const std::vector<std::int32_t> active = some ? nodes_within(graph, problem.depths[0]) : std::vector<std::int32_t>{};
+  result.relaxed = some ? active.size() : static_cast<std::size_t>(n);
   result.interior.assign(n, Rgb::Zero());
   result.boundary.assign(b, Rgb::Zero());
   ChannelSolution channels[3];
@@ -167,9 +213,12 @@ PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProble
         } else {
           Eigen::VectorXd psi(n);
           for (Eigen::Index i = 0; i < n; ++i) psi[i] = problem.diffusion[i][c] * start[i][c];
-          solution = problem.method == PaperMethod::bicgstab ? solve_bicgstab(system, problem, psi)
-                                                             : relax(system, problem, psi);
-          solution.residual = (system.light - system.matrix * solution.psi).norm() / size;
+          if (problem.method == PaperMethod::bicgstab) {
+            solution = solve_bicgstab(system, problem, psi);
+            solution.residual = (system.light - system.matrix * solution.psi).norm() / size;
+          } else {
+            solution = relax(system, problem, psi, some, active, number, c);
+          }
         }
         for (Eigen::Index i = 0; i < n; ++i)
           result.interior[i][c] = static_cast<float>(solution.psi[i] / problem.diffusion[i][c]);
@@ -182,7 +231,7 @@ PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProble
       },
       1);
   for (const ChannelSolution& solution : channels) {
-    if (!std::isfinite(solution.residual) || solution.residual > 1.01 * problem.tolerance)
+    if (!std::isfinite(solution.residual) || (!solution.stopped && solution.residual > 1.01 * problem.tolerance))
       throw NumericalError("paper's operator: no convergence to " + std::to_string(problem.tolerance) + " after " +
                            std::to_string(solution.iterations) + " iterations; relative residual " +
                            std::to_string(solution.residual));
@@ -192,6 +241,42 @@ PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProble
   }
   if (result.residual_history.empty()) result.residual_history = {1.0, result.residual};
   return result;
+}
+
+}  // namespace
+
+PaperProblem paper_problem(const Polygrid& polygrid, const CellCoefficients& coefficients,
+                           const std::vector<Rgb>& irradiance) {
+  const Eigen::Index cores = polygrid.graph.interior.rows(), quads = polygrid.boundary_quads.rows();
+  if (cores + quads != polygrid.cells.rows() || polygrid.graph.boundary.rows() != quads)
+    throw InputError("polygrid: its graph does not match its cells");
+  const auto diffusion = [&](Eigen::Index cell) -> Rgb {
+    Rgb sum = Rgb::Zero();
+    for (int k = 0; k < 8; ++k) sum += 1 / (24 * coefficients.reduced_extinction[8 * cell + k]);
+    return sum;
+  };
+  // Interior node i is the centre of core cell i, boundary node k belongs to boundary quad k and the k-th layer cell.
+  PaperProblem problem;
+  for (Eigen::Index i = 0; i < cores; ++i) {
+    problem.diffusion.push_back(diffusion(i));
+    Rgb absorption = Rgb::Zero();
+    for (int k = 0; k < 8; ++k) absorption += coefficients.absorption[8 * i + k];
+    problem.absorption.push_back(absorption / 8);
+  }
+  for (Eigen::Index k = 0; k < quads; ++k) {
+    problem.boundary_diffusion.push_back(diffusion(cores + k));
+    Rgb light = Rgb::Zero();
+    for (int a = 0; a < 4; ++a) light += irradiance[polygrid.boundary_quads(k, a)] / 4;
+    problem.boundary_light.push_back(light);
+  }
+  return problem;
+}
+
+PaperSolution solve_paper_operator(const PolygridGraph& graph, const PaperProblem& problem,
+                                   std::span<const PolygridLevel> levels) {
+  if (!problem.depths.empty() && problem.method != PaperMethod::relaxation)
+    throw InputError("paper's operator: depths are for its relaxation");
+  return solve_level(graph, problem, levels, 0);
 }
 
 }  // namespace shellgrid

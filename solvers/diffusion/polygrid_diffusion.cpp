@@ -145,42 +145,20 @@ PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coe
   return fields;
 }
 
-Rgb mean_of_eight(const std::vector<Rgb>& samples, Eigen::Index cell) {
-  Rgb sum = Rgb::Zero();
-  for (int k = 0; k < 8; ++k) sum += samples[8 * cell + k];
-  return sum / 8;
-}
-
-// Interior node i of the graph is the centre of core cell i, boundary node k belongs to boundary quad k and to the
-// k-th layer cell.
 PointFields solve_paper(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
                         const std::vector<Rgb>& irradiance, const DiffusionOptions& options, DiffusionResult& result) {
-  const Eigen::Index cores = polygrid.graph.interior.rows(), quads = polygrid.boundary_quads.rows();
-  if (cores + quads != polygrid.cells.rows() || polygrid.graph.boundary.rows() != quads)
-    throw InputError("polygrid: its graph does not match its cells");
   // The cells' shapes are checked, and measured, by the assembly that this operator does without.
   const PolygridSystem measured = assemble_polygrid_system(polygrid, coefficients, ior);
+  const Eigen::Index cores = polygrid.graph.interior.rows(), quads = polygrid.boundary_quads.rows();
 
-  PaperProblem problem;
+  PaperProblem problem = paper_problem(polygrid, coefficients, irradiance);
   problem.boundary_factor = polynomial_boundary_factor(ior);
   problem.tolerance = std::min(1e-4, 0.01 * options.tolerance);
-  const std::vector<Rgb>& extinction = coefficients.reduced_extinction;
-  auto diffusion = [&](Eigen::Index cell) -> Rgb {
-    Rgb sum = Rgb::Zero();
-    for (int k = 0; k < 8; ++k) sum += 1 / (24 * extinction[8 * cell + k]);
-    return sum;
-  };
-  for (Eigen::Index i = 0; i < cores; ++i) {
-    problem.diffusion.push_back(diffusion(i));
-    problem.absorption.push_back(mean_of_eight(coefficients.absorption, i));
-  }
-  for (Eigen::Index k = 0; k < quads; ++k) {
-    problem.boundary_diffusion.push_back(diffusion(cores + k));
-    Rgb light = Rgb::Zero();
-    for (int a = 0; a < 4; ++a) light += irradiance[polygrid.boundary_quads(k, a)] / 4;
-    problem.boundary_light.push_back(light);
-  }
-  const PaperSolution solution = solve_paper_operator(polygrid.graph, problem, polygrid.hierarchy);
+  if (options.paper_solver != "krylov") problem.method = PaperMethod::relaxation;
+  if (options.paper_solver == "adaptive") problem.depths = options.paper_depths;
+  std::span<const PolygridLevel> levels = polygrid.hierarchy;
+  if (options.paper_solver == "jacobi") levels = {};
+  const PaperSolution solution = solve_paper_operator(polygrid.graph, problem, levels);
   result.solve.iterations = solution.iterations;
   result.solve.tolerance = problem.tolerance;
   result.solve.residual_history = solution.residual_history;
@@ -235,6 +213,9 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
     throw InputError("tolerance " + std::to_string(options.tolerance) + ": expected more than 0 and less than 1");
   if (options.operator_name != "elements" && options.operator_name != "paper")
     throw InputError("operator " + options.operator_name + ": expected elements or paper");
+  if (options.paper_solver != "krylov" && options.paper_solver != "jacobi" && options.paper_solver != "hierarchical" &&
+      options.paper_solver != "adaptive")
+    throw InputError("paper's solver " + options.paper_solver + ": expected krylov, jacobi, hierarchical or adaptive");
   if (options.source != "boundary" && options.source != "first-collision")
     throw InputError("source " + options.source + ": expected boundary or first-collision");
   const bool beams = options.source == "first-collision";

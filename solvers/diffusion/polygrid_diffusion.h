@@ -20,10 +20,14 @@ namespace shellgrid {
 struct DiffusionOptions {
   std::string operator_name = "elements";  // or "paper"
   std::string source = "boundary";         // or "first-collision"
-  double tolerance = 0.005;                // relative error of the exitance
-  int environment_samples = 256;           // parallel lights that stand for an environment
-  std::vector<Rgb> initial;                // fluence at the polygrid's points to start from; empty: cold
-  int beam_samples = 64;                   // the same where each becomes beams through the object
+  // How the paper's operator is solved: krylov, or its own relaxation: jacobi on one level, hierarchical, or adaptive,
+  // where the nodes deeper than `paper_depths` links below a level's boundary (finest first) stay on coarser levels.
+  std::string paper_solver = "krylov";
+  std::vector<int> paper_depths = {8, 8};
+  double tolerance = 0.005;       // relative error of the exitance
+  int environment_samples = 256;  // parallel lights that stand for an environment
+  std::vector<Rgb> initial;       // fluence at the polygrid's points to start from; empty: cold
+  int beam_samples = 64;          // the same where each becomes beams through the object
 };
 
 struct DiffusionResult {

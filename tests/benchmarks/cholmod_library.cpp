@@ -6,10 +6,14 @@
 namespace shellgrid::test {
 namespace {
 
-class CholmodSolver : public LibrarySolver {
+class CholmodSolver : public FactorSolver {
  public:
-  void prepare(const Eigen::SparseMatrix<double>& matrix) override { factor_.compute(matrix); }
-  Eigen::VectorXd solve(const Eigen::VectorXd& right_side, double) override { return factor_.solve(right_side); }
+  FactorCost analyze(const Eigen::SparseMatrix<double>& matrix) override {
+    factor_.analyzePattern(matrix);
+    return {factor_.cholmod().fl, 8 * factor_.cholmod().lnz};
+  }
+  void prepare(const Eigen::SparseMatrix<double>& matrix) override { factor_.factorize(matrix); }
+  Eigen::VectorXd solve(const Eigen::VectorXd& right_side, double, int) override { return factor_.solve(right_side); }
 
  private:
   Eigen::CholmodSupernodalLLT<Eigen::SparseMatrix<double>> factor_;
@@ -17,6 +21,6 @@ class CholmodSolver : public LibrarySolver {
 
 }  // namespace
 
-std::unique_ptr<LibrarySolver> cholmod_solver() { return std::make_unique<CholmodSolver>(); }
+std::unique_ptr<FactorSolver> cholmod_solver() { return std::make_unique<CholmodSolver>(); }
 
 }  // namespace shellgrid::test

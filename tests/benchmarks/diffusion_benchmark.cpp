@@ -1,40 +1,57 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
-// Diffusion, red, green and blue: seconds against the exitance's algebraic error, on one cube of n³ cells with a
-// heterogeneous material. Methods: this project's multigrid, Eigen's conjugate gradients (incomplete Cholesky;
-// Jacobi), hypre's BoomerAMG with conjugate gradients and CHOLMOD on the same matrix, and the 2008 paper's operator by
-// its own relaxation, against its own exact solution. `ratio` is the method's total time over this project's at the
-// first error at least as small, in the same run.
-#include <Eigen/IterativeLinearSolvers>
-#include <Eigen/SparseCore>
+// Run time against error for every way of solving diffusion in one object: veined marble, red, green and blue, under a
+// parallel light with shadows.
+//   diffusion_benchmark FOLDER [SIZE …]
+// FOLDER holds surface.ply and for each SIZE polygrid-SIZE.hdf and, where tetrahedra are to be compared, tets-SIZE.hdf
+// (made by `make bench`). Without sizes: 1e5 and 3e5, with SG_LONG=1 also 1e6 and 3e6.
+// Each row: what one method took to bring the exitance's algebraic error, the greatest of the channels, against the
+// exact solution of its own discretisation under one level. Seconds are the processor's, of all threads, beside those
+// on the wall; libraries are given their matrix (assembly_s), this project's set-up makes its own. `ratio` is set-up
+// and solve over this project's cold row of the same size and level, `solve_ratio` the solve alone. An application is
+// one product with the method's matrices; the floor is its bytes at the speed of the triad. `discretisation_error`: of
+// the exact exitance at the surface's vertices, against the finest polygrid in FOLDER: most of it is how the grid blurs
+// the shadows' edges, for the exitance holds what of the light is turned back at once; `surface_fluence_error` is the
+// same of the fluence there, without it.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <memory>
 #include <string>
 
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/vtkhdf_file.h"
+#include "meshing/polycube/tetrahedralize.h"
+#include "meshing/surface/closest_point.h"
+#include "solvers/diffusion/boundary_irradiance.h"
+#include "solvers/diffusion/diffusion_solver.h"
 #include "solvers/diffusion/paper_operator.h"
-#include "tests/benchmarks/library_solvers.h"
-#include "tests/support/diffusion_problem.h"
+#include "solvers/diffusion/surface_transfer.h"
+#include "solvers/diffusion/tetrahedral_system.h"
+#include "solvers/scattering/fresnel.h"
+#include "tests/benchmarks/diffusion_libraries.h"
 #include "tests/support/timing.h"
+#include "tests/support/veined_marble.h"
 
 using namespace shellgrid;
+using namespace shellgrid::test;
 
 namespace {
 
-constexpr double edge = 40, ior = 1.5;
-constexpr int repetitions = 3;
+constexpr double ior = 1.5;
+// Set by hand for the paper's relaxation: the residual at which its coarse levels end (1e-2 and 1e-4 were no better),
+// and about the least depth that reaches an error of 0.5 % on the bunny, mm.
+constexpr double coarse_residual = 1e-3, paper_depth = 5.4;
 
-struct Row {
-  std::string method;
-  std::size_t unknowns;
-  double assembly, setup, solve, error;
-};
-
-double relative_difference(const std::vector<double>& weight, const std::vector<Double4>& a,
-                           const std::vector<Double4>& b) {
+// Root of the weighted sum of squares of a − b over that of b, the greatest of the channels.
+template <class Value>
+double difference(const std::vector<double>& weight, const std::vector<Value>& a, const std::vector<Value>& b) {
   double worst = 0;
   for (int c = 0; c < 3; ++c) {
     double error = 0, size = 0;
-    for (std::size_t i = 0; i < a.size(); ++i) {
+    for (std::size_t i = 0; i < weight.size(); ++i) {
       error += weight[i] * (a[i][c] - b[i][c]) * (a[i][c] - b[i][c]);
       size += weight[i] * b[i][c] * b[i][c];
     }
@@ -43,164 +60,426 @@ double relative_difference(const std::vector<double>& weight, const std::vector<
   return worst;
 }
 
-Eigen::SparseMatrix<double> channel_matrix(const CouplingOperator& a, int c) {
-  std::vector<Eigen::Triplet<double>> entries;
-  for (std::size_t i = 0; i < a.size(); ++i) {
-    double diagonal = a.reaction[i][c];
-    for (std::int64_t k = a.row_start[i]; k < a.row_start[i + 1]; ++k) {
-      diagonal += a.coupling[k][c];
-      entries.emplace_back(static_cast<int>(i), a.column[k], -a.coupling[k][c]);
-    }
-    entries.emplace_back(static_cast<int>(i), static_cast<int>(i), diagonal);
-  }
-  Eigen::SparseMatrix<double> matrix(static_cast<Eigen::Index>(a.size()), static_cast<Eigen::Index>(a.size()));
-  matrix.setFromTriplets(entries.begin(), entries.end());
-  return matrix;
-}
-
-template <class Preconditioner>
-void run_eigen(const std::string& name, const PolygridSystem& system, double assembly,
-               const std::vector<Double4>& source, const std::vector<Double4>& irradiance,
-               const std::vector<Double4>& exact, std::vector<Row>& rows) {
-  const Eigen::Index n = static_cast<Eigen::Index>(source.size());
-  Eigen::SparseMatrix<double> matrix[3];
-  for (int c = 0; c < 3; ++c) matrix[c] = channel_matrix(system.matrix, c);
-  Eigen::ConjugateGradient<Eigen::SparseMatrix<double>, Eigen::Lower | Eigen::Upper, Preconditioner> solver[3];
-  const double setup = test::median_seconds(repetitions, [&] {
-    for (int c = 0; c < 3; ++c) solver[c].compute(matrix[c]);
+double triad_speed() {
+  const std::size_t n = 16 << 20;
+  std::vector<float> a(n), b(n, 1.0f), c(n, 2.0f);
+  const Seconds s = least_time_of(5, [&] {
+    for (std::size_t i = 0; i < n; ++i) a[i] = b[i] + 1.5f * c[i];
   });
-  for (double tolerance : {1e-2, 1e-3, 1e-4, 1e-6}) {
-    std::vector<Double4> fluence(n, Double4{});
-    const double solve = test::median_seconds(repetitions, [&] {
-      for (int c = 0; c < 3; ++c) {
-        Eigen::VectorXd right(n);
-        for (Eigen::Index i = 0; i < n; ++i) right[i] = source[i][c];
-        solver[c].setTolerance(tolerance);
-        const Eigen::VectorXd x = solver[c].solve(right);
-        for (Eigen::Index i = 0; i < n; ++i) fluence[i][c] = x[i];
-      }
-    });
-    rows.push_back({name, source.size(), assembly, setup, solve,
-                    relative_difference(system.boundary_area, boundary_exitance(system, fluence, irradiance), exact)});
-  }
+  return 12.0 * static_cast<double>(n) / s.processor;
 }
 
-void run_library(const std::string& name, std::unique_ptr<test::LibrarySolver> (*make)(),
-                 const std::vector<double>& tolerances, const PolygridSystem& system, double assembly,
-                 const std::vector<Double4>& source, const std::vector<Double4>& irradiance,
-                 const std::vector<Double4>& exact, std::vector<Row>& rows) {
-  const Eigen::Index n = static_cast<Eigen::Index>(source.size());
-  std::unique_ptr<test::LibrarySolver> solver[3];
-  double setup = 0;
-  for (int c = 0; c < 3; ++c) {
-    const Eigen::SparseMatrix<double> matrix = channel_matrix(system.matrix, c);
-    solver[c] = make();
-    setup += test::median_seconds(1, [&] { solver[c]->prepare(matrix); });
-  }
-  for (double tolerance : tolerances) {
-    std::vector<Double4> fluence(n, Double4{});
-    const double solve = test::median_seconds(repetitions, [&] {
-      for (int c = 0; c < 3; ++c) {
-        Eigen::VectorXd right(n);
-        for (Eigen::Index i = 0; i < n; ++i) right[i] = source[i][c];
-        const Eigen::VectorXd x = solver[c]->solve(right, tolerance);
-        for (Eigen::Index i = 0; i < n; ++i) fluence[i][c] = x[i];
-      }
-    });
-    rows.push_back({name, source.size(), assembly, setup, solve,
-                    relative_difference(system.boundary_area, boundary_exitance(system, fluence, irradiance), exact)});
-  }
-}
+// The object, what lights it, and its exitance as far as it is known.
+struct Scene {
+  TriangleMesh surface;
+  VeinedMarble marble;
+  std::vector<double> vertex_area;
+  std::vector<Rgb> irradiance, turned;  // at the vertices; of the light turned by 5°
+  std::vector<Rgb> finest;              // exitance and fluence at the vertices, one after the other
+  Limits limits;
 
-void run_relaxation(const Polygrid& grid, const CellCoefficients& coefficients, std::vector<Row>& rows) {
-  PaperProblem problem;
-  problem.boundary_factor = 3.96;
-  const Eigen::Index cores = grid.graph.interior.rows();
-  for (Eigen::Index i = 0; i < cores; ++i) {
-    problem.diffusion.push_back(1 / (3 * coefficients.reduced_extinction[8 * i]));
-    problem.absorption.push_back(coefficients.absorption[8 * i]);
-  }
-  for (Eigen::Index k = 0; k < grid.graph.boundary.rows(); ++k) {
-    problem.boundary_diffusion.push_back(problem.diffusion[grid.graph.boundary_owner[k]]);
-    problem.boundary_light.push_back(Rgb::Constant(grid.graph.boundary(k, 2) > 0.5 * edge ? 1.0f : 0.0f));
-  }
-  problem.tolerance = 1e-9;
-  const PaperSolution exact = solve_paper_operator(grid.graph, problem);
-  problem.method = PaperMethod::relaxation;
-  for (double tolerance : {1e-2, 1e-3, 1e-4}) {
-    problem.tolerance = tolerance;
-    PaperSolution solution;
-    const double solve =
-        test::median_seconds(repetitions, [&] { solution = solve_paper_operator(grid.graph, problem); });
-    double error = 0, size = 0;
-    for (std::size_t k = 0; k < exact.boundary.size(); ++k) {
-      const Rgb light = problem.boundary_light[k];
-      error += (solution.boundary[k] - exact.boundary[k]).square().sum();
-      size += (exact.boundary[k] - light).square().sum();
+  explicit Scene(const std::string& path) : surface(read_mesh(path).mesh) {
+    marble.size = (surface.vertices.colwise().maxCoeff() - surface.vertices.colwise().minCoeff()).maxCoeff();
+    const SceneGeometry geometry(surface);
+    const auto lit = [&](double degrees) {
+      const double angle = degrees * M_PI / 180;
+      const Vec3 direction =
+          (std::cos(angle) * Vec3(0.6, 0, -0.6) + std::sin(angle) * Vec3(0.6, 0, 0.6) + Vec3(0, -0.5, 0)).normalized();
+      const std::vector<Light> lights = {DirectionalLight{direction, Rgb::Constant(3)}};
+      return surface_irradiance(surface, geometry, lights, ior, 1).values;
+    };
+    irradiance = lit(0);
+    turned = lit(5);
+    vertex_area.assign(irradiance.size(), 0.0);
+    for (int f = 0; f < surface.face_count(); ++f) {
+      const Vec3 a = surface.corner(f, 0), b = surface.corner(f, 1), c = surface.corner(f, 2);
+      for (int k = 0; k < 3; ++k) vertex_area[surface.faces(f, k)] += (b - a).cross(c - a).norm() / 6;
     }
-    rows.push_back({"paper relaxation", static_cast<std::size_t>(cores), 0, 0, solve, std::sqrt(error / size)});
+  }
+  // Of exitance and fluence at the vertices, into a row or a problem; 0 where nothing finer is known.
+  template <class Target>
+  void judge(const std::vector<Rgb>& at_vertices, Target& target) const {
+    if (finest.empty()) return;
+    const auto half = static_cast<std::ptrdiff_t>(vertex_area.size());
+    const auto part = [&](const std::vector<Rgb>& v, int k) {
+      return std::vector<Rgb>(v.begin() + k * half, v.begin() + (k + 1) * half);
+    };
+    target.discretisation_error = difference(vertex_area, part(at_vertices, 0), part(finest, 0));
+    target.fluence_error = difference(vertex_area, part(at_vertices, 1), part(finest, 1));
+  }
+};
+
+// Exitance and, by D2 and D3, fluence at the vertices: from values at the points of a surface, which `carry` takes
+// there.
+template <class Carry>
+std::vector<Rgb> exitance_and_fluence(const std::vector<Rgb>& exitance, const std::vector<Rgb>& irradiance,
+                                      const Carry& carry) {
+  const DiffuseFresnel fresnel = diffuse_fresnel(ior);
+  const auto reflected = static_cast<float>((1 - fresnel.current_reflectance) / (1 + fresnel.current_reflectance));
+  std::vector<Rgb> fluence(exitance.size());
+  for (std::size_t i = 0; i < fluence.size(); ++i)
+    fluence[i] = static_cast<float>(2 * fresnel.boundary_factor) * (exitance[i] + reflected * irradiance[i]);
+  std::vector<Rgb> both = carry(exitance);
+  const std::vector<Rgb> second = carry(fluence);
+  both.insert(both.end(), second.begin(), second.end());
+  return both;
+}
+
+// This project's solver on a polygrid under a scene's two lights.
+class OwnSolver {
+ public:
+  OwnSolver(const Polygrid& grid, const Scene& scene, const SolverParameters& parameters = {})
+      : grid_(grid), transfer_(grid, scene.surface), coefficients_(scene.marble.of(grid)), solver_(grid, parameters) {
+    point_light_ = transfer_.to_points(scene.irradiance);
+    light_.irradiance = solver_.to_outer(point_light_);
+    turned_.irradiance = solver_.to_outer(transfer_.to_points(scene.turned));
+  }
+  void set_material(double tolerance) { solver_.set_material(coefficients_, ior, tolerance); }
+  DiffusionSolver& solver() { return solver_; }
+  const CellCoefficients& coefficients() const { return coefficients_; }
+  const std::vector<Rgb>& point_light() const { return point_light_; }
+  const DiffusionLight& light(bool turned) const { return turned ? turned_ : light_; }
+  const SurfaceTransfer& transfer() const { return transfer_; }
+  const PeakMemory& memory() const { return memory_; }  // of the solver alone
+
+  std::vector<Rgb> at_vertices(const std::vector<Double4>& exitance) const {
+    std::vector<Rgb> points(grid_.points.rows(), Rgb::Zero());
+    for (std::size_t s = 0; s < exitance.size(); ++s) points[solver_.grid().outer_point[s]] = to_rgb(exitance[s]);
+    return points_at_vertices(points);
+  }
+  std::vector<Rgb> points_at_vertices(const std::vector<Rgb>& points) const {
+    return exitance_and_fluence(points, point_light_,
+                                [&](const auto& values) { return transfer_.to_vertices(values); });
+  }
+  std::vector<Double4> exact(bool turned) {
+    solver_.solve(light(turned), 1e-9);
+    return solver_.exitance(light(turned));
+  }
+
+ private:
+  const Polygrid& grid_;
+  SurfaceTransfer transfer_;
+  CellCoefficients coefficients_;
+  PeakMemory memory_;
+  DiffusionSolver solver_;
+  std::vector<Rgb> point_light_;
+  DiffusionLight light_, turned_;
+};
+
+// What a run with one asked tolerance came to.
+struct Run {
+  Seconds setup, solve;
+  double error;
+};
+
+void append_best(Row row, const std::vector<Run>& runs, std::vector<Row>& rows) {
+  for (double level : error_levels) {
+    const Run* best = nullptr;
+    for (const Run& run : runs)
+      if (run.error <= level &&
+          (!best || run.setup.processor + run.solve.processor < best->setup.processor + best->solve.processor))
+        best = &run;
+    row.level = level;
+    row.note = best ? "" : "not reached";
+    if (best) row.error = best->error, row.setup = best->setup, row.solve = best->solve;
+    rows.push_back(row);
   }
 }
 
-void run_grid(int n) {
-  Polygrid grid = test::cube_grid(n, edge, 0.1);
-  test::add_cube_graph(grid, n, edge);
-  Material marble;
-  marble = Material::from_absorption_scattering(Rgb(0.0021f, 0.0041f, 0.0071f), Rgb(2.19f, 2.62f, 3.0f), Rgb::Zero());
-  CellCoefficients coefficients = homogeneous_coefficients(grid, marble);
-  test::add_contrast(coefficients, 10);
-  PolygridSystem system;
-  const double assembly =
-      test::median_seconds(repetitions, [&] { system = assemble_polygrid_system(grid, coefficients, ior); });
-  std::vector<Double4> irradiance(system.key.size(), Double4{});
-  for (std::size_t u = 0; u < irradiance.size(); ++u)
-    if (system.boundary_area[u] > 0 && grid.points(system.point_of_unknown[u], 2) > 0.5 * edge)
-      irradiance[u] = Double4{1, 1, 1, 0};
-  const std::vector<Double4> source = boundary_source(system, irradiance);
+// How this project's solver may be asked to solve.
+struct Variant {
+  std::string name;
+  SolverParameters parameters;
+  bool warm = false;
+};
 
-  std::vector<Row> rows;
-  DiffusionSolver solver(grid);
-  solver.set_material(coefficients, ior, 1e-11);
-  DiffusionLight light;
-  for (std::int32_t point : solver.grid().outer_point)
-    light.irradiance.push_back(to_float(irradiance[system.unknown_of_point[point]]));
-  const auto exitance = [&] {
-    std::vector<Double4> result(source.size(), Double4{});
-    const std::vector<Double4> own = solver.exitance(light);
-    for (std::size_t s = 0; s < own.size(); ++s) result[system.unknown_of_point[solver.grid().outer_point[s]]] = own[s];
-    return result;
+void run_own(const std::string& size, const Polygrid& grid, const Scene& scene, const Variant& variant,
+             const std::vector<Double4>& exact, const DiscreteProblem& problem, std::vector<Row>& rows) {
+  OwnSolver own(grid, scene, variant.parameters);
+  DiffusionSolver& solver = own.solver();
+  Row row;
+  row.size = size, row.method = variant.name, row.discretisation = "trilinear", row.unknowns = solver.size();
+  std::vector<Run> runs;
+  Seconds setup;
+  bool single = false;
+  for (double tolerance : {0.3, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4}) {
+    if (runs.empty() || (tolerance < variant.parameters.exact_below && !single)) {
+      single = tolerance < variant.parameters.exact_below;
+      setup = least_time_of(3, [&] { own.set_material(single ? tolerance : variant.parameters.exact_below); });
+    }
+    Run run{setup, {1e300, 1e300}, 0};
+    for (int k = 0; k < 5; ++k) {
+      if (variant.warm) solver.solve(own.light(false), tolerance);
+      const Seconds s = time_of([&] { solver.solve(own.light(variant.warm), tolerance, variant.warm); });
+      if (s.processor < run.solve.processor) run.solve = s;
+    }
+    run.error = difference(solver.surface().area, solver.exitance(own.light(variant.warm)), exact);
+    runs.push_back(run);
+  }
+  row.bytes = own.memory().bytes();
+  {
+    const RunLevel& level = solver.finest();
+    LevelVector<float> x(level.inner_size(), level.size() - level.inner_size()),
+        y(level.inner_size(), level.size() - level.inner_size());
+    row.application = least_time_of(3, [&] { apply_level(level, x, y, true); }).processor;
+  }
+  row.floor = static_cast<double>(solver.sweep_bytes()) / scene.limits.triad;
+  row.discretisation_error = problem.discretisation_error, row.fluence_error = problem.fluence_error;
+  append_best(row, runs, rows);
+}
+
+// The paper's operator under D2's boundary condition, so that its exitance is D3's.
+struct PaperCase {
+  PaperProblem problem;
+  std::vector<double> area;
+  double reflected = 0;
+
+  PaperCase(const Polygrid& grid, const CellCoefficients& coefficients, const std::vector<Rgb>& light)
+      : problem(paper_problem(grid, coefficients, light)) {
+    const DiffuseFresnel fresnel = diffuse_fresnel(ior);
+    problem.boundary_factor = fresnel.boundary_factor;
+    reflected = (1 - fresnel.current_reflectance) / (1 + fresnel.current_reflectance);
+    for (Rgb& value : problem.boundary_light) value *= static_cast<float>(4 / (1 - fresnel.fluence_reflectance));
+    for (Eigen::Index k = 0; k < grid.boundary_quads.rows(); ++k) {
+      double sum = 0;
+      for (double a : quad_areas(grid, k)) sum += a;
+      area.push_back(sum);
+    }
+    scale = (1 - fresnel.fluence_reflectance) / 4;
+  }
+  double scale;
+  double exitance(std::size_t k, int c, double fluence) const {
+    return fluence / (2 * problem.boundary_factor) - reflected * scale * problem.boundary_light[k][c];
+  }
+  // [Diffusion eq. 9], second line.
+  double boundary_fluence(const PolygridGraph& graph, std::size_t k, int c, const Eigen::VectorXd& psi) const {
+    const std::int32_t owner = graph.boundary_owner[k];
+    const double slope = 2 * problem.boundary_factor * problem.boundary_diffusion[k][c] / graph.boundary_distance[k];
+    return (problem.boundary_light[k][c] + slope * psi[owner] / problem.diffusion[owner][c]) / (1 + slope);
+  }
+};
+
+void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene, OwnSolver& own,
+               std::vector<Row>& rows) {
+  PaperCase paper(grid, own.coefficients(), own.point_light());
+  const PolygridGraph& graph = grid.graph;
+  const std::size_t quads = paper.area.size();
+  paper.problem.tolerance = 1e-9;
+  const PaperSolution exact = solve_paper_operator(graph, paper.problem, grid.hierarchy);
+  std::vector<Double4> exitance(quads);
+  Double4 norm{};
+  std::vector<Rgb> points(grid.points.rows(), Rgb::Zero());
+  std::vector<float> count(grid.points.rows(), 0.0f);
+  for (std::size_t k = 0; k < quads; ++k) {
+    for (int c = 0; c < 3; ++c) exitance[k][c] = paper.exitance(k, c, exact.boundary[k][c]);
+    norm += paper.area[k] * exitance[k] * exitance[k];
+    for (int a = 0; a < 4; ++a) {
+      points[grid.boundary_quads(k, a)] += to_rgb(exitance[k]);
+      ++count[grid.boundary_quads(k, a)];
+    }
+  }
+  for (std::size_t p = 0; p < points.size(); ++p)
+    if (count[p] > 0) points[p] /= count[p];
+  Row judged;
+  scene.judge(own.points_at_vertices(points), judged);
+
+  const int depth = static_cast<int>(std::ceil(paper_depth / grid.spacing));
+  struct Variant {
+    const char* name;
+    bool levels;
+    int depth;
   };
-  solver.solve(light, 1e-11);
-  const std::vector<Double4> exact = exitance();
-  for (double tolerance : {5e-2, 5e-3, 1e-4, 1e-6}) {
-    const double setup = test::median_seconds(repetitions, [&] { solver.set_material(coefficients, ior, tolerance); });
-    const double solve = test::median_seconds(repetitions, [&] { solver.solve(light, tolerance); });
-    rows.push_back(
-        {"multigrid", source.size(), 0, setup, solve, relative_difference(system.boundary_area, exitance(), exact)});
+  for (const Variant& variant : {Variant{"paper: Jacobi", false, 0}, Variant{"paper: hierarchical", true, 0},
+                                 Variant{"paper: hierarchical adaptive", true, depth}}) {
+    PaperProblem problem = paper.problem;
+    problem.method = PaperMethod::relaxation;
+    problem.tolerance = 1e-9;
+    problem.most_iterations = 1000000;
+    if (variant.depth > 0) problem.depths.assign(grid.hierarchy.size(), variant.depth);
+    // Each channel has a thread of its own, whose clock stands still while its exitance is looked at.
+    struct Watched {
+      double since = 0, spent = 0, looking = 0;
+      std::array<double, error_levels.size()> seconds, error{};
+      Watched() { seconds.fill(-1); }
+    };
+    std::array<Watched, 3> watched;
+    problem.watch = [&](const PaperPass& pass) {
+      Watched& own_watch = watched[pass.channel];
+      const double now = clock_seconds(CLOCK_THREAD_CPUTIME_ID);
+      if (pass.passes > 0) own_watch.spent += now - own_watch.since;
+      bool done = own_watch.spent > scene.limits.seconds || (pass.level > 0 && pass.residual < coarse_residual);
+      if (pass.level == 0) {
+        double sum = 0;
+        const int c = pass.channel;
+        for (std::size_t k = 0; k < quads; ++k) {
+          const double off = paper.exitance(k, c, paper.boundary_fluence(graph, k, c, pass.psi)) - exitance[k][c];
+          sum += paper.area[k] * off * off;
+        }
+        const double error = std::sqrt(sum / norm[c]);
+        for (std::size_t l = 0; l < error_levels.size(); ++l)
+          if (own_watch.seconds[l] < 0 && error <= error_levels[l])
+            own_watch.seconds[l] = own_watch.spent, own_watch.error[l] = error;
+        done |= own_watch.seconds.back() >= 0;
+      }
+      own_watch.since = clock_seconds(CLOCK_THREAD_CPUTIME_ID);
+      own_watch.looking += own_watch.since - now;
+      return done;
+    };
+    const PeakMemory memory;
+    Row row;
+    row.size = size, row.method = variant.name, row.discretisation = "paper";
+    row.unknowns = static_cast<std::size_t>(graph.interior.rows());
+    Seconds whole;
+    try {
+      whole = time_of([&] {
+        solve_paper_operator(graph, problem, variant.levels ? grid.hierarchy : std::vector<PolygridLevel>{});
+      });
+    } catch (const std::exception& e) {
+      row.note = e.what();
+    }
+    row.bytes = memory.bytes();
+    row.discretisation_error = judged.discretisation_error, row.fluence_error = judged.fluence_error;
+    double others = 0;
+    for (const Watched& w : watched) others += w.spent + w.looking;
+    row.setup = {std::max(0.0, whole.processor - others), std::max(0.0, whole.processor - others)};
+    for (std::size_t l = 0; l < error_levels.size(); ++l) {
+      row.level = error_levels[l];
+      row.solve = {};
+      row.error = 0;
+      bool reached = true;
+      for (const Watched& w : watched) {
+        reached &= w.seconds[l] >= 0;
+        row.solve = row.solve + Seconds{w.seconds[l], w.seconds[l]};
+        row.error = std::max(row.error, w.error[l]);
+      }
+      if (!reached && row.note.empty())
+        row.note = variant.depth > 0
+                       ? "not reached: its deep nodes stay as they are"
+                       : "not reached in " + std::to_string(static_cast<int>(scene.limits.seconds)) + " s a channel";
+      rows.push_back(row);
+    }
   }
-  const std::size_t own = rows.size();
-  run_eigen<Eigen::IncompleteCholesky<double>>("CG + incomplete Cholesky", system, assembly, source, irradiance, exact,
-                                               rows);
-  run_eigen<Eigen::DiagonalPreconditioner<double>>("CG + Jacobi", system, assembly, source, irradiance, exact, rows);
-  run_library("hypre BoomerAMG + CG", test::hypre_solver, {1e-2, 1e-3, 1e-4, 1e-6}, system, assembly, source,
-              irradiance, exact, rows);
-  run_library("CHOLMOD", test::cholmod_solver, {0}, system, assembly, source, irradiance, exact, rows);
-  run_relaxation(grid, coefficients, rows);
-  for (const Row& row : rows) {
-    double own_seconds = rows[own - 1].setup + rows[own - 1].solve;
-    for (std::size_t k = own; k-- > 0;)
-      if (rows[k].error <= row.error) own_seconds = rows[k].setup + rows[k].solve;
-    std::printf("%s,%zu,%.4f,%.4f,%.4f,%.3e,%.2f\n", row.method.c_str(), row.unknowns, row.assembly, row.setup,
-                row.solve, row.error, (row.assembly + row.setup + row.solve) / own_seconds);
-    std::fflush(stdout);
+}
+
+void run_polygrid(const std::string& size, const std::string& path, const Scene& scene, std::vector<Row>& rows) {
+  const Polygrid grid = read_polygrid(path);
+  std::vector<Double4> exact, exact_turned;
+  DiscreteProblem problem{size, "trilinear", {}, 0, {}, {}, 0, 0};
+  {
+    OwnSolver own(grid, scene);
+    own.set_material(1e-9);
+    exact_turned = own.exact(true);
+    exact = own.exact(false);
+    scene.judge(own.at_vertices(exact), problem);
+    std::vector<Double4> points(grid.points.rows(), Double4{});
+    for (std::size_t s = 0; s < exact.size(); ++s) points[own.solver().grid().outer_point[s]] = exact[s];
+    problem.exitance = std::move(points);
   }
+  run_own(size, grid, scene, {"shellgrid cold", {}, false}, exact, problem, rows);
+  run_own(size, grid, scene, {"shellgrid warm", {}, true}, exact_turned, problem, rows);
+  {
+    OwnSolver own(grid, scene);
+    run_paper(size, grid, scene, own, rows);
+    PolygridSystem system;
+    problem.assembly = time_of([&] { system = assemble_polygrid_system(grid, own.coefficients(), ior); }).processor;
+    std::vector<Double4> exitance(system.point_of_unknown.size());
+    for (std::size_t u = 0; u < exitance.size(); ++u) {
+      const std::int32_t point = system.point_of_unknown[u];
+      exitance[u] = problem.exitance[point];
+      problem.irradiance.push_back(to_double(to_lanes(own.point_light()[point])));
+    }
+    problem.exitance = std::move(exitance);
+    problem.system = std::move(static_cast<DiffusionSystem&>(system));
+  }
+  run_libraries(problem, scene.limits, rows);
+}
+
+void run_tetrahedra(const std::string& size, const std::string& path, const Scene& scene, std::vector<Row>& rows) {
+  const TetrahedralMesh mesh = read_tetrahedra(path);
+  std::vector<Rgb> absorption, extinction;
+  for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t) {
+    Vec3 centre = Vec3::Zero();
+    for (int k = 0; k < 4; ++k) centre += mesh.points.row(mesh.tetrahedra(t, k)).transpose() / 4;
+    const VeinedMarble::Coefficients here = scene.marble.at(centre);
+    absorption.push_back(here.absorption);
+    extinction.push_back(here.reduced_extinction);
+  }
+  DiscreteProblem problem{size, "tetrahedra", {}, 0, {}, {}, 0, 0};
+  problem.assembly =
+      time_of([&] { problem.system = assemble_tetrahedral_system(mesh, absorption, extinction, ior); }).processor;
+  problem.irradiance.assign(mesh.points.rows(), Double4{});
+  const ClosestPointQuery query(scene.surface);
+  std::vector<std::int32_t> outer;  // the points of boundary_of, in its order
+  for (Eigen::Index p = 0; p < mesh.points.rows(); ++p) {
+    if (!(problem.system.boundary_area[p] > 0)) continue;
+    outer.push_back(static_cast<std::int32_t>(p));
+    const SurfacePoint at = query.nearest(mesh.points.row(p).transpose());
+    for (int k = 0; k < 3; ++k)
+      problem.irradiance[p] +=
+          at.barycentric[k] * to_double(to_lanes(scene.irradiance[scene.surface.faces(at.face_index, k)]));
+  }
+  problem.exitance =
+      boundary_exitance(problem.system, solve_exactly(problem.system, problem.irradiance), problem.irradiance);
+  const TriangleMesh boundary = boundary_of(mesh);
+  const ClosestPointQuery boundary_query(boundary);
+  std::vector<SurfacePoint> places;
+  for (int v = 0; v < scene.surface.vertex_count(); ++v)
+    places.push_back(boundary_query.nearest(scene.surface.vertex(v)));
+  std::vector<Rgb> exitance, light;
+  for (std::int32_t p : outer) {
+    exitance.push_back(to_rgb(problem.exitance[p]));
+    light.push_back(to_rgb(problem.irradiance[p]));
+  }
+  scene.judge(exitance_and_fluence(exitance, light,
+                                   [&](const std::vector<Rgb>& values) {
+                                     std::vector<Rgb> result;
+                                     for (const SurfacePoint& at : places) {
+                                       Rgb sum = Rgb::Zero();
+                                       for (int k = 0; k < 3; ++k)
+                                         sum += static_cast<float>(at.barycentric[k]) *
+                                                values[boundary.faces(at.face_index, k)];
+                                       result.push_back(sum);
+                                     }
+                                     return result;
+                                   }),
+              problem);
+  run_libraries(problem, scene.limits, rows);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::printf("method,unknowns,assembly_s,setup_s,solve_s,exitance_error,ratio\n");
-  const bool only_small = argc > 1 && std::string(argv[1]) == "--short";
-  run_grid(16);
-  if (!only_small) run_grid(44);
+  if (argc < 2) {
+    std::fprintf(stderr, "diffusion_benchmark FOLDER [SIZE …]\n");
+    return 2;
+  }
+  const std::filesystem::path folder = argv[1];
+  std::vector<std::string> sizes(argv + 2, argv + argc);
+  if (sizes.empty())
+    sizes = long_form() ? std::vector<std::string>{"1e5", "3e5", "1e6", "3e6"} : std::vector<std::string>{"1e5", "3e5"};
+  Scene scene((folder / "surface.ply").string());
+  scene.limits.triad = triad_speed();
+  if (long_form()) scene.limits.seconds = 600;
+  const auto file = [&](const char* kind, const std::string& size) {
+    return (folder / (std::string(kind) + "-" + size + ".hdf")).string();
+  };
+  for (const char* finest : {"3e6", "1e6"}) {
+    if (!std::filesystem::exists(file("polygrid", finest))) continue;
+    const Polygrid grid = read_polygrid(file("polygrid", finest));
+    OwnSolver own(grid, scene);
+    own.set_material(1e-9);
+    scene.finest = own.at_vertices(own.exact(false));
+    break;
+  }
+  std::printf("%s\n", table_head);
+  for (const std::string& size : sizes) {
+    std::vector<Row> rows;
+    run_polygrid(size, file("polygrid", size), scene, rows);
+    if (std::filesystem::exists(file("tets", size))) run_tetrahedra(size, file("tets", size), scene, rows);
+    std::map<double, const Row*> own;
+    for (const Row& row : rows)
+      if (row.method == "shellgrid cold") own[row.level] = &row;
+    for (const Row& row : rows) print(row, own[row.level]);
+    std::fflush(stdout);
+  }
 }

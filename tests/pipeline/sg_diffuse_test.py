@@ -157,6 +157,19 @@ class Diffuse(unittest.TestCase):
         energy = programs.record(type(self).at("paper.hdf"))["results"]["energy"]
         self.assertGreater(energy["relative_defect"][0], 0.1)
 
+    def test_the_papers_relaxations_end_near_its_krylov_solution(self):
+        exitance = {}
+        for solver in ("krylov", "jacobi", "hierarchical", "adaptive"):
+            done = self.diffuse(solver, "--operator", "paper", "--paper-solver", solver, "--paper-depths", "6")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            exitance[solver] = read_ply(type(self).at(solver + ".ply"))[0]["exitance_g"]
+        size = numpy.linalg.norm(exitance["krylov"])
+        for solver, limit in (("jacobi", 0.01), ("hierarchical", 0.01), ("adaptive", 0.05)):
+            difference = numpy.linalg.norm(exitance[solver] - exitance["krylov"])
+            self.assertGreater(difference, 0)
+            self.assertLess(difference, limit * size, solver)
+        self.refused(2, "--paper-solver", "multigrid")
+
     def test_usage(self):
         self.refused(2, "--operator", "finite-volumes")
         self.refused(2, "--tolerance", "-1")

@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "meshing/core/error.h"
@@ -96,7 +98,9 @@ TEST(PaperOperator, TheHierarchyGivesTheSameSolutionInFewerSteps) {
     const PaperSolution plain = solve_paper_operator(grid.graph, problem);
     const PaperSolution nested = solve_paper_operator(grid.graph, problem, grid.hierarchy);
     EXPECT_LE(nested.iterations, plain.iterations);
-    if (method == PaperMethod::relaxation) EXPECT_LT(nested.iterations, 0.7 * plain.iterations);
+    if (method == PaperMethod::relaxation) {
+      EXPECT_LT(nested.iterations, 0.7 * plain.iterations);
+    }
     EXPECT_EQ(nested.coarse_iterations.size(), grid.hierarchy.size());
     double difference = 0, size = 0;
     for (std::size_t i = 0; i < plain.interior.size(); ++i) {
@@ -108,6 +112,79 @@ TEST(PaperOperator, TheHierarchyGivesTheSameSolutionInFewerSteps) {
   std::vector<PolygridLevel> broken = grid.hierarchy;
   broken[0].parent.pop_back();
   EXPECT_THROW(solve_paper_operator(grid.graph, problem, broken), InputError);
+}
+
+// Light from one side; levels of a cube's grid.
+struct LitCube {
+  Polygrid grid;
+  PaperProblem problem;
+  explicit LitCube(int n) : grid(test::cube_grid(n, edge, 0.1)) {
+    test::add_cube_graph(grid, n, edge);
+    grid.graph.boundary_normal = VertexMatrix::Constant(grid.graph.boundary.rows(), 3, 1);
+    grid.hierarchy = build_hierarchy(grid);
+    problem = paper_problem(grid, 0.02, 0.5);
+    for (Eigen::Index k = 0; k < grid.graph.boundary.rows(); ++k)
+      if (grid.graph.boundary(k, 2) < 0.9 * edge) problem.boundary_light[k] = Rgb::Zero();
+    problem.method = PaperMethod::relaxation;
+    problem.tolerance = 1e-6;
+  }
+  // Relative difference of the boundary's fluence.
+  static double difference(const PaperSolution& a, const PaperSolution& b) {
+    double error = 0, size = 0;
+    for (std::size_t k = 0; k < a.boundary.size(); ++k) {
+      error += (a.boundary[k] - b.boundary[k]).square().sum();
+      size += b.boundary[k].square().sum();
+    }
+    return std::sqrt(error / size);
+  }
+};
+
+TEST(PaperOperator, DeepNodesMayStayOnCoarseLevels) {
+  LitCube cube(16);
+  const PaperSolution whole = solve_paper_operator(cube.grid.graph, cube.problem, cube.grid.hierarchy);
+  EXPECT_EQ(whole.relaxed, 4096u);
+  double before = 1;
+  for (int depth : {2, 4, 6}) {
+    cube.problem.depths = {depth, depth};
+    const PaperSolution adaptive = solve_paper_operator(cube.grid.graph, cube.problem, cube.grid.hierarchy);
+    const int core = 16 - 2 * depth;
+    EXPECT_EQ(adaptive.relaxed, static_cast<std::size_t>(4096 - core * core * core));
+    const double error = LitCube::difference(adaptive, whole);
+    EXPECT_LT(error, before) << depth;
+    before = error;
+  }
+  EXPECT_LT(before, 0.03);
+  EXPECT_GT(before, 1e-6);
+  // As deep as the object, all nodes are relaxed.
+  cube.problem.depths = {8, 4};
+  const PaperSolution all = solve_paper_operator(cube.grid.graph, cube.problem, cube.grid.hierarchy);
+  EXPECT_EQ(all.relaxed, 4096u);
+  EXPECT_LT(LitCube::difference(all, whole), 1e-3);
+  cube.problem.method = PaperMethod::bicgstab;
+  EXPECT_THROW(solve_paper_operator(cube.grid.graph, cube.problem, cube.grid.hierarchy), InputError);
+}
+
+TEST(PaperOperator, AnEyeOnItsRelaxationSeesEachPass) {
+  LitCube cube(8);
+  std::array<std::vector<int>, 3> passes;  // of the finest level
+  std::array<int, 3> coarse{};
+  cube.problem.watch = [&](const PaperPass& pass) {
+    if (pass.level == 0)
+      passes[pass.channel].push_back(pass.passes);
+    else
+      ++coarse[pass.channel];
+    return false;
+  };
+  const PaperSolution solution = solve_paper_operator(cube.grid.graph, cube.problem, cube.grid.hierarchy);
+  int most = 0;
+  for (int c = 0; c < 3; ++c) {
+    for (std::size_t k = 0; k < passes[c].size(); ++k) EXPECT_EQ(passes[c][k], static_cast<int>(k));
+    most = std::max(most, passes[c].back());
+    EXPECT_GT(coarse[c], 0);
+  }
+  EXPECT_EQ(most, solution.iterations);
+  cube.problem.watch = [](const PaperPass& pass) { return pass.level == 0 && pass.passes == 3; };
+  EXPECT_EQ(solve_paper_operator(cube.grid.graph, cube.problem, cube.grid.hierarchy).iterations, 3);
 }
 
 TEST(PaperOperator, SaysWhenItDoesNotConvergeAndRefusesBrokenGraphs) {

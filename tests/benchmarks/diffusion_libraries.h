@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Other libraries' solvers on any discretisation of the diffusion equation.
+#pragma once
+#include <string>
+#include <vector>
+
+#include "solvers/diffusion/diffusion_system.h"
+#include "tests/benchmarks/diffusion_measure.h"
+
+namespace shellgrid::test {
+
+// A discretisation with its light and its exact algebraic solution.
+struct DiscreteProblem {
+  std::string size, discretisation;
+  DiffusionSystem system;
+  double assembly = 0;              // processor seconds that made the system
+  std::vector<Double4> irradiance;  // one an unknown
+  std::vector<Double4> exitance;    // the exact one, one an unknown
+  // Of that exitance, and of its fluence, at the object's surface; 0: not known.
+  double discretisation_error = 0, fluence_error = 0;
+};
+
+struct Limits {
+  double seconds = 60;  // processor seconds that one method may take for a channel's iterations, or for a factor
+  double bytes = 8e9;   // that a factor may take
+  double triad = 1e10;  // bytes a processor second
+};
+
+// The exact solution by hypre, to a residual of 1e-11.
+std::vector<Double4> solve_exactly(const DiffusionSystem& system, const std::vector<Double4>& irradiance);
+
+// Appends a row for each method and level: conjugate gradients with incomplete Cholesky and with Jacobi (Eigen),
+// BoomerAMG with conjugate gradients (hypre), CHOLMOD. Each channel stops at the iteration that brings its own error
+// under the level, which an observed run finds out before the run that is timed.
+void run_libraries(const DiscreteProblem& problem, const Limits& limits, std::vector<Row>& rows);
+
+}  // namespace shellgrid::test
