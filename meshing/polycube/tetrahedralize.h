@@ -10,7 +10,7 @@ struct TetrahedralizeOptions {
   int proxy_faces = 60000;     // a heavier surface is simplified to about so many faces first
   double limit_seconds = 120;  // processor time of the mesher's process
   // mm: inside, tetrahedra grow no larger than regular ones of about this edge, and are shaped well, for computing on
-  // them; 0: as few as fill the surface.
+  // them; 0: as few as fill the surface. The surface's triangles stay as they are: they want the same edge.
   double spacing = 0;
 };
 

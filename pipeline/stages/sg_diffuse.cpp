@@ -121,7 +121,8 @@ int main(int argc, char** argv) {
   program.option("--operator", method, "elements conserves energy and is second order; paper is the 2008 one",
                  {"scene", "elements", "paper"});
   program.option("--paper-solver", options.paper_solver,
-                 "of the operator paper: conjugate gradients, or the paper's relaxation on one level, from coarse to "
+                 "of the operator paper: stabilised bi-conjugate gradients, or the paper's relaxation on one level, "
+                 "from coarse to "
                  "fine, or with deep nodes left to coarser levels",
                  {"krylov", "jacobi", "hierarchical", "adaptive"});
   program.list_option("--paper-depths", depths, "links",

@@ -17,8 +17,10 @@ int main(int argc, char** argv) {
   program.output("tets.hdf", "tetrahedral mesh (VTKHDF)");
   program.option("--proxy-faces", options.proxy_faces, "", "simplify a heavier surface to about so many faces", 100);
   program.option("--limit", options.limit_seconds, "s", "processor time that the mesher may take", 1, 86400);
-  program.option("--spacing", options.spacing, "mm",
-                 "edge of the tetrahedra inside, well shaped to compute on; 0: as few as fill the surface", 0, 1e6);
+  program.option(
+      "--spacing", options.spacing, "mm",
+      "edge of the tetrahedra inside, well shaped to compute on, for a surface of such triangles; 0: as few as fill it",
+      0, 1e6);
   program.example("sg-tetrahedralize surface.ply -o tets.hdf", "tetrahedra of a prepared surface");
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");

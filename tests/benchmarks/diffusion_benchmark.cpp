@@ -3,7 +3,8 @@
 // parallel light with shadows.
 //   diffusion_benchmark FOLDER [SIZE …]
 // FOLDER holds surface.ply and for each SIZE polygrid-SIZE.hdf and, where tetrahedra are to be compared, tets-SIZE.hdf
-// (made by `make bench`). Without sizes: 1e5 and 3e5, with SG_LONG=1 also 1e6 and 3e6.
+// (made by `make bench`); the regular grid with an embedded boundary is made here. Without sizes: 1e5 and 3e5, with
+// SG_LONG=1 also 1e6 and 3e6.
 // Each row: what one method took to bring the exitance's algebraic error, the greatest of the channels, against the
 // exact solution of its own discretisation under one level. Seconds are the processor's, of all threads, beside those
 // on the wall; libraries are given their matrix (assembly_s), this project's set-up makes its own. `ratio` is set-up
@@ -12,6 +13,7 @@
 // the exact exitance at the surface's vertices, against the finest polygrid in FOLDER: most of it is how the grid blurs
 // the shadows' edges, for the exitance holds what of the light is turned back at once; `surface_fluence_error` is the
 // same of the fluence there, without it.
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -27,6 +29,7 @@
 #include "meshing/surface/closest_point.h"
 #include "solvers/diffusion/boundary_irradiance.h"
 #include "solvers/diffusion/diffusion_solver.h"
+#include "solvers/diffusion/embedded_boundary.h"
 #include "solvers/diffusion/paper_operator.h"
 #include "solvers/diffusion/surface_transfer.h"
 #include "solvers/diffusion/tetrahedral_system.h"
@@ -361,37 +364,61 @@ void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene
   }
 }
 
+DiscreteProblem named(const std::string& size, const char* discretisation) {
+  DiscreteProblem problem;
+  problem.size = size;
+  problem.discretisation = discretisation;
+  return problem;
+}
+
+// Outlets of a system whose surface has unknowns of its own.
+void take_system(DiffusionSystem& system, const std::vector<Double4>& irradiance, DiscreteProblem& problem) {
+  problem.source = boundary_source(system, irradiance);
+  problem.fluence = solve_exactly(system.matrix, problem.source);
+  const std::vector<Double4> exitance = boundary_exitance(system, problem.fluence, irradiance);
+  const double factor = 1 / (2 * system.boundary_factor);
+  for (std::size_t i = 0; i < exitance.size(); ++i)
+    if (system.boundary_area[i] > 0)
+      problem.outlets.push_back({static_cast<std::int32_t>(i), system.boundary_area[i],
+                                 Double4{factor, factor, factor, factor}, exitance[i]});
+  problem.matrix = std::move(system.matrix);
+}
+
 void run_polygrid(const std::string& size, const std::string& path, const Scene& scene, std::vector<Row>& rows) {
   const Polygrid grid = read_polygrid(path);
-  std::vector<Double4> exact, exact_turned;
-  DiscreteProblem problem{size, "trilinear", {}, 0, {}, {}, 0, 0};
+  DiscreteProblem problem = named(size, "trilinear");
   {
-    OwnSolver own(grid, scene);
-    own.set_material(1e-9);
-    exact_turned = own.exact(true);
-    exact = own.exact(false);
-    scene.judge(own.at_vertices(exact), problem);
-    std::vector<Double4> points(grid.points.rows(), Double4{});
-    for (std::size_t s = 0; s < exact.size(); ++s) points[own.solver().grid().outer_point[s]] = exact[s];
-    problem.exitance = std::move(points);
+    std::vector<Double4> exact, exact_turned;
+    {
+      OwnSolver own(grid, scene);
+      own.set_material(1e-9);
+      exact_turned = own.exact(true);
+      exact = own.exact(false);
+      scene.judge(own.at_vertices(exact), problem);
+    }
+    run_own(size, grid, scene, {"shellgrid cold", {}, false}, exact, problem, rows);
+    run_own(size, grid, scene, {"shellgrid warm", {}, true}, exact_turned, problem, rows);
   }
-  run_own(size, grid, scene, {"shellgrid cold", {}, false}, exact, problem, rows);
-  run_own(size, grid, scene, {"shellgrid warm", {}, true}, exact_turned, problem, rows);
   {
     OwnSolver own(grid, scene);
     run_paper(size, grid, scene, own, rows);
     PolygridSystem system;
     problem.assembly = time_of([&] { system = assemble_polygrid_system(grid, own.coefficients(), ior); }).processor;
-    std::vector<Double4> exitance(system.point_of_unknown.size());
-    for (std::size_t u = 0; u < exitance.size(); ++u) {
-      const std::int32_t point = system.point_of_unknown[u];
-      exitance[u] = problem.exitance[point];
-      problem.irradiance.push_back(to_double(to_lanes(own.point_light()[point])));
-    }
-    problem.exitance = std::move(exitance);
-    problem.system = std::move(static_cast<DiffusionSystem&>(system));
+    std::vector<Double4> irradiance;
+    for (const std::int32_t point : system.point_of_unknown)
+      irradiance.push_back(to_double(to_lanes(own.point_light()[point])));
+    take_system(system, irradiance, problem);
   }
   run_libraries(problem, scene.limits, rows);
+}
+
+// The light on the surface at the place nearest to another.
+Double4 light_near(const Scene& scene, const ClosestPointQuery& query, const Vec3& place) {
+  const SurfacePoint at = query.nearest(place);
+  Double4 light{};
+  for (int k = 0; k < 3; ++k)
+    light += at.barycentric[k] * to_double(to_lanes(scene.irradiance[scene.surface.faces(at.face_index, k)]));
+  return light;
 }
 
 void run_tetrahedra(const std::string& size, const std::string& path, const Scene& scene, std::vector<Row>& rows) {
@@ -404,45 +431,79 @@ void run_tetrahedra(const std::string& size, const std::string& path, const Scen
     absorption.push_back(here.absorption);
     extinction.push_back(here.reduced_extinction);
   }
-  DiscreteProblem problem{size, "tetrahedra", {}, 0, {}, {}, 0, 0};
+  DiscreteProblem problem = named(size, "tetrahedra");
+  DiffusionSystem system;
   problem.assembly =
-      time_of([&] { problem.system = assemble_tetrahedral_system(mesh, absorption, extinction, ior); }).processor;
-  problem.irradiance.assign(mesh.points.rows(), Double4{});
+      time_of([&] { system = assemble_tetrahedral_system(mesh, absorption, extinction, ior); }).processor;
+  std::vector<Double4> irradiance(mesh.points.rows(), Double4{});
   const ClosestPointQuery query(scene.surface);
-  std::vector<std::int32_t> outer;  // the points of boundary_of, in its order
-  for (Eigen::Index p = 0; p < mesh.points.rows(); ++p) {
-    if (!(problem.system.boundary_area[p] > 0)) continue;
-    outer.push_back(static_cast<std::int32_t>(p));
-    const SurfacePoint at = query.nearest(mesh.points.row(p).transpose());
-    for (int k = 0; k < 3; ++k)
-      problem.irradiance[p] +=
-          at.barycentric[k] * to_double(to_lanes(scene.irradiance[scene.surface.faces(at.face_index, k)]));
-  }
-  problem.exitance =
-      boundary_exitance(problem.system, solve_exactly(problem.system, problem.irradiance), problem.irradiance);
+  for (Eigen::Index p = 0; p < mesh.points.rows(); ++p)
+    if (system.boundary_area[p] > 0) irradiance[p] = light_near(scene, query, mesh.points.row(p).transpose());
+  take_system(system, irradiance, problem);
+  // The boundary's vertices are the outlets, in their order.
   const TriangleMesh boundary = boundary_of(mesh);
   const ClosestPointQuery boundary_query(boundary);
   std::vector<SurfacePoint> places;
   for (int v = 0; v < scene.surface.vertex_count(); ++v)
     places.push_back(boundary_query.nearest(scene.surface.vertex(v)));
   std::vector<Rgb> exitance, light;
-  for (std::int32_t p : outer) {
-    exitance.push_back(to_rgb(problem.exitance[p]));
-    light.push_back(to_rgb(problem.irradiance[p]));
+  for (const DiscreteProblem::Outlet& o : problem.outlets) {
+    exitance.push_back(to_rgb(o.exitance));
+    light.push_back(to_rgb(irradiance[o.unknown]));
   }
-  scene.judge(exitance_and_fluence(exitance, light,
-                                   [&](const std::vector<Rgb>& values) {
-                                     std::vector<Rgb> result;
-                                     for (const SurfacePoint& at : places) {
-                                       Rgb sum = Rgb::Zero();
-                                       for (int k = 0; k < 3; ++k)
-                                         sum += static_cast<float>(at.barycentric[k]) *
-                                                values[boundary.faces(at.face_index, k)];
-                                       result.push_back(sum);
-                                     }
-                                     return result;
-                                   }),
-              problem);
+  const auto carry = [&](const std::vector<Rgb>& values) {
+    std::vector<Rgb> result;
+    for (const SurfacePoint& at : places) {
+      Rgb sum = Rgb::Zero();
+      for (int k = 0; k < 3; ++k)
+        sum += static_cast<float>(at.barycentric[k]) * values[boundary.faces(at.face_index, k)];
+      result.push_back(sum);
+    }
+    return result;
+  };
+  scene.judge(exitance_and_fluence(exitance, light, carry), problem);
+  run_libraries(problem, scene.limits, rows);
+}
+
+void run_embedded(const std::string& size, const Scene& scene, std::vector<Row>& rows) {
+  double volume = 0;
+  for (int f = 0; f < scene.surface.face_count(); ++f)
+    volume += scene.surface.corner(f, 0).dot(scene.surface.corner(f, 1).cross(scene.surface.corner(f, 2))) / 6;
+  double area = 0;
+  for (double a : scene.vertex_area) area += a;
+  // Of the cells that have a part inside, half of those that the surface cuts are surplus.
+  const double wanted = std::atof(size.c_str());
+  double spacing = std::cbrt(volume / wanted);
+  for (int k = 0; k < 20; ++k) spacing = std::cbrt((volume + 0.75 * area * spacing) / wanted);
+  DiscreteProblem problem = named(size, "embedded");
+  EmbeddedGrid grid;
+  EmbeddedSystem system;
+  problem.assembly = time_of([&] {
+                       grid = embed_surface(scene.surface, spacing);
+                       std::vector<Rgb> absorption, extinction;
+                       for (std::size_t i = 0; i < grid.cells.size(); ++i) {
+                         const VeinedMarble::Coefficients here = scene.marble.at(grid.centre(i));
+                         absorption.push_back(here.absorption);
+                         extinction.push_back(here.reduced_extinction);
+                       }
+                       system = assemble_embedded_system(grid, absorption, extinction, ior);
+                     }).processor;
+  const ClosestPointQuery query(scene.surface);
+  std::vector<Double4> irradiance;
+  for (const EmbeddedGrid::Piece& piece : grid.pieces) irradiance.push_back(light_near(scene, query, piece.centre));
+  problem.source = boundary_source(system, irradiance);
+  problem.fluence = solve_exactly(system.matrix, problem.source);
+  const std::vector<Double4> exact = boundary_exitance(system, problem.fluence, irradiance);
+  std::vector<Rgb> exitance, light;
+  for (std::size_t k = 0; k < exact.size(); ++k) {
+    const EmbeddedSystem::Outlet& o = system.outlets[k];
+    problem.outlets.push_back({o.cell, o.area, o.factor, exact[k]});
+    exitance.push_back(to_rgb(exact[k]));
+    light.push_back(to_rgb(irradiance[k]));
+  }
+  problem.matrix = std::move(system.matrix);
+  const auto carry = [&](const std::vector<Rgb>& values) { return pieces_to_vertices(grid, scene.surface, values); };
+  scene.judge(exitance_and_fluence(exitance, light, carry), problem);
   run_libraries(problem, scene.limits, rows);
 }
 
@@ -476,10 +537,10 @@ int main(int argc, char** argv) {
     std::vector<Row> rows;
     run_polygrid(size, file("polygrid", size), scene, rows);
     if (std::filesystem::exists(file("tets", size))) run_tetrahedra(size, file("tets", size), scene, rows);
+    run_embedded(size, scene, rows);
     std::map<double, const Row*> own;
     for (const Row& row : rows)
       if (row.method == "shellgrid cold") own[row.level] = &row;
     for (const Row& row : rows) print(row, own[row.level]);
-    std::fflush(stdout);
   }
 }

@@ -47,29 +47,22 @@ struct Channel {
   Eigen::VectorXd right_side;
   const DiscreteProblem& problem;
   int number;
-  double reflected, size = 0;
+  double size = 0;
 
   Channel(const DiscreteProblem& p, int c)
-      : matrix(channel_matrix(p.system.matrix, c)),
-        right_side(static_cast<Eigen::Index>(p.irradiance.size())),
+      : matrix(channel_matrix(p.matrix, c)),
+        right_side(static_cast<Eigen::Index>(p.source.size())),
         problem(p),
-        number(c),
-        reflected((1 - p.system.current_reflectance) / (1 + p.system.current_reflectance)) {
-    const std::vector<Double4> source = boundary_source(p.system, p.irradiance);
-    for (std::size_t i = 0; i < source.size(); ++i) {
-      right_side[i] = source[i][c];
-      size += p.system.boundary_area[i] * p.exitance[i][c] * p.exitance[i][c];
-    }
+        number(c) {
+    for (std::size_t i = 0; i < p.source.size(); ++i) right_side[static_cast<Eigen::Index>(i)] = p.source[i][c];
+    for (const DiscreteProblem::Outlet& o : p.outlets) size += o.area * o.exitance[c] * o.exitance[c];
   }
   double error(const Eigen::VectorXd& x) const {
-    const DiffusionSystem& s = problem.system;
     double sum = 0;
-    for (Eigen::Index i = 0; i < x.size(); ++i)
-      if (s.boundary_area[i] > 0) {
-        const double off =
-            x[i] / (2 * s.boundary_factor) - reflected * problem.irradiance[i][number] - problem.exitance[i][number];
-        sum += s.boundary_area[i] * off * off;
-      }
+    for (const DiscreteProblem::Outlet& o : problem.outlets) {
+      const double off = o.factor[number] * (x[o.unknown] - problem.fluence[o.unknown][number]);
+      sum += o.area * off * off;
+    }
     return std::sqrt(sum / size);
   }
 };
@@ -106,7 +99,7 @@ void append(const std::string& method, const DiscreteProblem& problem, const Lim
   for (std::size_t l = 0; l < error_levels.size(); ++l) {
     Row row;
     row.size = problem.size, row.method = method, row.discretisation = problem.discretisation;
-    row.unknowns = problem.irradiance.size();
+    row.unknowns = problem.source.size();
     row.level = error_levels[l], row.error = tally.error[l];
     row.assembly = problem.assembly;
     row.setup = tally.setup;
@@ -213,7 +206,7 @@ void run_cholmod(const DiscreteProblem& problem, const Limits& limits, std::vect
     if (name == problem.discretisation) history = &h;
   if (!history) history = &histories.emplace_back(problem.discretisation, FactorHistory{}).second;
   Tally tally;
-  const auto unknowns = static_cast<double>(problem.irradiance.size());
+  const auto unknowns = static_cast<double>(problem.source.size());
   // Nested dissection in three dimensions: operations grow with the square, entries with the power 4/3.
   const double growth = history->unknowns > 0 ? unknowns / history->unknowns : 0;
   FactorCost cost{history->operations * growth * growth, history->bytes * std::pow(growth, 4.0 / 3)};
@@ -255,11 +248,10 @@ void run_cholmod(const DiscreteProblem& problem, const Limits& limits, std::vect
 
 }  // namespace
 
-std::vector<Double4> solve_exactly(const DiffusionSystem& system, const std::vector<Double4>& irradiance) {
-  const std::vector<Double4> source = boundary_source(system, irradiance);
+std::vector<Double4> solve_exactly(const CouplingOperator& system, const std::vector<Double4>& source) {
   std::vector<Double4> fluence(source.size(), Double4{});
   for (int c = 0; c < 3; ++c) {
-    const Matrix matrix = channel_matrix(system.matrix, c);
+    const Matrix matrix = channel_matrix(system, c);
     Eigen::VectorXd right(matrix.rows());
     for (Eigen::Index i = 0; i < right.size(); ++i) right[i] = source[i][c];
     const std::unique_ptr<LibrarySolver> solver = hypre_solver();

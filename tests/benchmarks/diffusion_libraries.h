@@ -11,12 +11,20 @@ namespace shellgrid::test {
 
 // A discretisation with its light and its exact algebraic solution.
 struct DiscreteProblem {
+  // Where exitance is judged: it follows the fluence of one unknown.
+  struct Outlet {
+    std::int32_t unknown;
+    double area;
+    Double4 factor;    // ∂M/∂φ
+    Double4 exitance;  // the exact one
+  };
   std::string size, discretisation;
-  DiffusionSystem system;
-  double assembly = 0;              // processor seconds that made the system
-  std::vector<Double4> irradiance;  // one an unknown
-  std::vector<Double4> exitance;    // the exact one, one an unknown
-  // Of that exitance, and of its fluence, at the object's surface; 0: not known.
+  CouplingOperator matrix;
+  std::vector<Double4> source;
+  std::vector<Double4> fluence;  // the exact one
+  std::vector<Outlet> outlets;
+  double assembly = 0;  // processor seconds that made the system
+  // Of the exact exitance, and of its fluence, at the object's surface; 0: not known.
   double discretisation_error = 0, fluence_error = 0;
 };
 
@@ -27,7 +35,7 @@ struct Limits {
 };
 
 // The exact solution by hypre, to a residual of 1e-11.
-std::vector<Double4> solve_exactly(const DiffusionSystem& system, const std::vector<Double4>& irradiance);
+std::vector<Double4> solve_exactly(const CouplingOperator& matrix, const std::vector<Double4>& source);
 
 // Appends a row for each method and level: conjugate gradients with incomplete Cholesky and with Jacobi (Eigen),
 // BoomerAMG with conjugate gradients (hypre), CHOLMOD. Each channel stops at the iteration that brings its own error

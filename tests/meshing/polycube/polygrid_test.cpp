@@ -416,6 +416,26 @@ TEST(Tetrahedralize, simplifies_a_heavy_surface_without_changing_its_genus) {
   EXPECT_NEAR(enclosed_volume(boundary), enclosed_volume(surface), 0.01 * enclosed_volume(surface));
 }
 
+TEST(Tetrahedralize, fills_a_surface_as_finely_as_asked) {
+  const TriangleMesh surface = voxel_shapes::torus(10, 4, 60, 26);
+  const std::int64_t plain = tetrahedralize(surface, {}).mesh.tetrahedra.rows();
+  std::int64_t counts[2];
+  for (int k = 0; k < 2; ++k) {
+    TetrahedralizeOptions options;
+    options.spacing = k == 0 ? 1.2 : 0.6;
+    const TetrahedralizeResult result = tetrahedralize(surface, options);
+    counts[k] = result.mesh.tetrahedra.rows();
+    EXPECT_LT(result.volume / static_cast<double>(counts[k]), 0.18 * std::pow(options.spacing, 3));
+    EXPECT_NEAR(result.volume, enclosed_volume(surface), 1e-9 * result.volume);
+    EXPECT_EQ(boundary_of(result.mesh).face_count(), surface.face_count());
+  }
+  EXPECT_GT(counts[0], 2 * plain);
+  EXPECT_GT(counts[1], 4 * counts[0]);
+  TetrahedralizeOptions fine;
+  fine.spacing = 1e-4;
+  EXPECT_THROW(tetrahedralize(surface, fine), InputError);
+}
+
 TEST(Tetrahedralize, refuses_a_surface_that_crosses_itself) {
   const TriangleMesh a = voxel_shapes::box(2, 2, 2);
   TriangleMesh both;
