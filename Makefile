@@ -5,6 +5,8 @@
 #   make bench       run time against error, drawn (SG_LONG=1: larger problems, more repetitions)
 #   make geometry-report [MESHES=folder] [OUT=dir] [NODES=1e5] [LIMIT=n] [JOBS=1]
 #                    every mesh of libcgal-demo (and of a folder) up to its polygrid: a table and pictures
+#   make diffusion-map [OUT=dir]
+#                    the error of diffusion against sg-reference, a table and a picture (SG_LONG=1: all of it)
 #   make SCENE=path [OUT=dir] [image.png or any artefact of the scene; views; report]
 #   make docs        the README's tables of options and scene keys, from the programs' own help
 SHELL := /bin/bash
@@ -25,10 +27,10 @@ MAKEOVERRIDES :=
 export SCENE OUT MESHES
 
 .DEFAULT_GOAL := image.png
-ARTEFACTS := all views report image.png image.exr exitance.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
+ARTEFACTS := all views report image.png image.exr exitance.ply reference.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
   synthesized.ply textons.vdb sample.vdb distance.vdb surface.ply \
   polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
-.PHONY: setup configure build programs test demo bench geometry-report docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
+.PHONY: setup configure build programs test demo bench geometry-report diffusion-map docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:
 	@bash .ci/install-packages
@@ -111,6 +113,11 @@ geometry-report: programs
 	    --jobs $(if $(filter command,$(firstword $(origin JOBS))),$(JOBS),1) $(if $(ONLY),--only $(ONLY)) -- "$$folder/data/meshes" $${MESHES:+"$$MESHES"}; \
 	  code=$$?; [ -z "$$SG_LONG" ] || SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/cost_charts.py \
 	    "$$folder/data/meshes/bunny00.off" -o "$$out" || code=1; exit $$code
+
+# Sphere, plate and bunny by albedo, thickness and source. SG_LONG=1: finer grids, less noise, six albedos by five thicknesses.
+diffusion-map: programs assets/meshes/bunny00.off
+	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/accuracy/diffusion_map.py -o "$${OUT:-out/diffusion-map}" \
+	  --bunny assets/meshes/bunny00.off
 
 docs: programs
 	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B pipeline/readme_tables.py README.md

@@ -15,11 +15,14 @@
 #include "pipeline/scene/sample_description.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_document.h"
+#include "solvers/diffusion/diffusion_validity.h"
 
 namespace shellgrid {
 namespace {
 
 using nlohmann::json;
+
+constexpr const char* diffusion_method = "polygrid-diffusion";
 
 std::string millimetres(double length) { return number_text(length); }
 
@@ -74,6 +77,18 @@ class PlacedMesh {
   }
   double size() const { return size_; }
 
+  // 4 V/A, mm; 0 where the faces enclose nothing.
+  double mean_chord() const {
+    double volume = 0, area = 0;
+    for (int f = 0; f < mesh_.face_count(); ++f) {
+      const Vec3 a = mesh_.corner(f, 0), b = mesh_.corner(f, 1), c = mesh_.corner(f, 2);
+      volume += a.dot(b.cross(c)) / 6;
+      area += (b - a).cross(c - a).norm() / 2;
+    }
+    const double chord = 4 * std::abs(volume) / area;
+    return std::isfinite(chord) ? chord : 0;
+  }
+
   // By the winding number: the solid angle of all faces. Source: [VanOosteromStrackee1983].
   bool contains(const Vec3& point) const {
     double angle = 0;
@@ -115,6 +130,40 @@ void check_whole(const Scene& scene, double size, std::optional<PlacedMesh>& mes
       fail(fmt::format("lights[{}].position: {} is inside the object; expected a place outside", i, text(*place)));
 }
 
+// Where diffusion is out of its range whatever the light meets: in a homogeneous object, or one whose shell and core
+// are of materials that are all out of it (what their mixture makes of light, sg-diffuse knows). Empty: it is not, or
+// what would tell cannot be read, which is left to the stages that need it.
+std::string warn_of_diffusion(const Scene& scene) {
+  if (scene.method.type != diffusion_method) return "";
+  const SceneMaterial& material = *scene.material;
+  std::vector<Material> materials;
+  if (const auto* core = std::get_if<Material>(&material.core); core && !material.opaque) materials.push_back(*core);
+  std::string mildest;
+  try {
+    if (material.shell) {
+      const std::vector<Material> described = described_materials(material.shell->sample);
+      if (described.empty()) return "";
+      materials.insert(materials.end(), described.begin(), described.end());
+    }
+    if (materials.empty()) return "";
+    const double chord = PlacedMesh(*scene.object).mean_chord();
+    if (!(chord > 0)) return "";
+    const bool first_collision = scene.method.source == "first-collision";
+    float least = 1e30f;
+    for (const Material& m : materials) {
+      const DiffusionRegime regime{m.reduced_albedo(), static_cast<float>(chord) * m.reduced_extinction()};
+      const std::string warning = diffusion_warning(regime, first_collision, {true, true, true});
+      if (warning.empty()) return "";
+      const float error = expected_diffusion_error(regime, first_collision).maxCoeff();
+      if (error < least) mildest = warning;
+      least = std::min(least, error);
+    }
+  } catch (const InputError&) {
+    return "";
+  }
+  return mildest;
+}
+
 struct SceneCase {
   const SceneDocument& document;
   const Scene& scene;
@@ -126,6 +175,12 @@ struct SceneCase {
 
   json part(const char* section) const {
     return document.root.contains(section) ? document.root[section] : json::object();
+  }
+  // What solvers read.
+  json light_and_matter() const {
+    json material = part("material");
+    if (material.contains("shell")) material["shell"].erase("sample");
+    return {{"object", {{"ior", scene.object->ior}}}, {"material", material}, {"lights", lights()}};
   }
   // Slices lie in another folder than the scene: paths in them are absolute.
   json lights() const {
@@ -219,10 +274,11 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
   polygrid.outputs = {"polygrid.hdf"};
   polygrid.views = {"polygrid.view.ply"};
   diffuse.outputs = {"fluence.hdf", "exitance.ply"};
-  if (c.opaque) {
+  if (c.opaque || c.scene.method.type != diffusion_method) {
     for (PlannedStage* stage : {&tetrahedralize, &polycube, &polygrid, &diffuse}) {
       stage->needed = false;
-      stage->reason = "the material is opaque: no light enters the object";
+      stage->reason = c.opaque ? "the material is opaque: no light enters the object"
+                               : "the method path-tracing follows light through the surface and the shell itself";
       stages.push_back(*stage);
     }
     return;
@@ -247,12 +303,30 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
   }
   diffuse.arguments.insert(diffuse.arguments.end(), {"-o", "fluence.hdf", "--exitance", "exitance.ply"});
   diffuse.files = c.light_files;
-  json material = c.part("material"), method = c.part("method");
-  if (material.contains("shell")) material["shell"].erase("sample");
-  for (const char* key : {"nodes", "samples_per_pixel"}) method.erase(key);
-  diffuse.slice = {
-      {"object", {{"ior", c.scene.object->ior}}}, {"material", material}, {"lights", c.lights()}, {"method", method}};
+  diffuse.slice = c.light_and_matter();
+  diffuse.slice["method"] = c.part("method");
+  for (const char* key : {"nodes", "paths", "samples_per_pixel"}) diffuse.slice["method"].erase(key);
   for (const PlannedStage* stage : {&tetrahedralize, &polycube, &polygrid, &diffuse}) stages.push_back(*stage);
+}
+
+// Exact transport: instead of diffusion, or beside it for whoever asks for it.
+void add_reference_stage(const SceneCase& c, std::vector<PlannedStage>& stages) {
+  if (c.opaque) return;
+  PlannedStage stage{"reference", "what leaves the object, by light paths"};
+  stage.on_demand = c.scene.method.type == diffusion_method;
+  const std::string output = stage.on_demand ? "reference.ply" : "exitance.ply";
+  stage.reason = stage.on_demand ? "it judges how far diffusion is off" : "the method path-tracing is exact transport";
+  stage.arguments = {"plan/reference.json", "surface.ply"};
+  stage.artefacts = {"surface.ply"};
+  if (c.shell) {
+    stage.arguments.push_back("shell.vdb");
+    stage.artefacts.push_back("shell.vdb");
+  }
+  stage.arguments.insert(stage.arguments.end(), {"-o", output, "--paths", number_text(c.scene.method.paths)});
+  stage.files = c.light_files;
+  stage.outputs = {output};
+  stage.slice = c.light_and_matter();
+  stages.push_back(stage);
 }
 
 PlannedStage render(const SceneCase& c) {
@@ -324,10 +398,13 @@ Plan make_plan(const std::string& scene_path) {
     if (document.root["lights"][i].contains("image"))
       scene_case.light_files.push_back({fmt::format("light{}", i), document.root["lights"][i]["image"]});
 
+  const std::string warning = warn_of_diffusion(scene);
+  if (!warning.empty()) plan.warnings.push_back(warning);
   plan.material = scene_case.opaque ? "opaque" : scene_case.shell ? "heterogeneous shell" : "homogeneous";
   plan.stages.push_back(prepare(scene_case));
   add_shell_stages(scene_case, plan.stages);
   add_diffusion_stages(scene_case, plan.stages);
+  add_reference_stage(scene_case, plan.stages);
   plan.stages.push_back(render(scene_case));
   return plan;
 }

@@ -19,6 +19,7 @@ struct PlannedStage {
   std::string name;     // "prepare"
   std::string purpose;  // what it makes, in a few words
   bool needed = true;
+  bool on_demand = false;   // off the way to the picture: Make runs it where its output is asked for
   std::string reason = {};  // why it runs or is left out
   // Words of its command line. "@mesh" stands for the external file of that name.
   std::vector<std::string> arguments = {};
@@ -36,6 +37,7 @@ struct Plan {
   std::vector<std::string> read;     // files whose change asks for another plan
   std::string material;              // "heterogeneous shell", "homogeneous" or "opaque"
   std::vector<PlannedStage> stages;  // in an order in which they can run
+  std::vector<std::string> warnings = {};
 };
 
 // Throws: InputError as read_scene does, and where a section is missing that a picture needs.

@@ -232,6 +232,7 @@ void write_plan_folder(const Plan& plan, const std::string& folder, const std::s
     stages.push_back({{"name", stage.name},
                       {"purpose", stage.purpose},
                       {"needed", stage.needed},
+                      {"on_demand", stage.on_demand},
                       {"reason", stage.reason},
                       {"arguments", stage.arguments},
                       {"artefacts", stage.artefacts},

@@ -200,8 +200,9 @@ class Page {
           "<tr class=\"left\"><td>" + name + "</td><td colspan=\"4\">left out: " + escaped(reason) + "</td></tr>\n";
       return;
     }
-    ++report_.stages;
     const std::string output = stage.at("outputs").front();
+    if (stage.value("on_demand", false) && !has(output)) return;
+    ++report_.stages;
     const std::string link = "<td><a href=\"#" + name + "\">" + name + "</a></td>";
     if (!has(output + ".json") || !has(output)) {
       summary += "<tr><td>" + name + "</td><td colspan=\"4\">not made yet</td></tr>\n";

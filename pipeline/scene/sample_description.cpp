@@ -298,4 +298,21 @@ std::string check_sample_description(const std::string& path, const SampleOverri
   return description.volume;
 }
 
+std::vector<Material> described_materials(const std::string& path) {
+  if (is_volume(path)) return {};
+  const Description description = read_description(path, {});
+  if (!description.volume.empty()) return {};
+  struct Lister {
+    std::vector<Material> operator()(const MarblePattern& p) const { return {p.body, p.vein}; }
+    std::vector<Material> operator()(const SpotsPattern& p) const { return {p.body, p.spot}; }
+    std::vector<Material> operator()(const BumpsPattern& p) const { return {p.body, p.bump}; }
+    std::vector<Material> operator()(const LayersPattern& p) const {
+      std::vector<Material> list;
+      for (const LayersPattern::Layer& layer : p.layers) list.push_back(layer.material);
+      return list;
+    }
+  };
+  return std::visit(Lister(), description.definition.pattern);
+}
+
 }  // namespace shellgrid

@@ -2,6 +2,7 @@
 #pragma once
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "synthesis/material_sample.h"
 
@@ -25,5 +26,9 @@ MaterialSample load_sample(const std::string& path, const SampleOverrides& overr
 // Whether load_sample can make a sample of a JSON description, as far as its text tells; volumes are not read. Returns
 // the path of the volume that it imports, or an empty one. Throws: InputError, as load_sample.
 std::string check_sample_description(const std::string& path, const SampleOverrides& overrides);
+
+// The materials of which a JSON description makes its sample; none where it imports a volume, or is one itself.
+// Throws: InputError, as check_sample_description.
+std::vector<Material> described_materials(const std::string& path);
 
 }  // namespace shellgrid

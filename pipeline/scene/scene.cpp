@@ -218,6 +218,7 @@ SceneMethod parse_method(const Section& section) {
   SceneMethod method;
   method.type = section.text("type");
   method.nodes = section.number("nodes");
+  method.paths = section.number("paths");
   method.tolerance = section.number("tolerance");
   method.operator_name = section.text("operator");
   method.source = section.text("source");

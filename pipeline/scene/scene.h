@@ -39,11 +39,12 @@ struct SceneMaterial {
 };
 
 struct SceneMethod {
-  std::string type = "polygrid-diffusion";
-  double nodes = 1e5;                      // of the polygrid
-  double tolerance = 0.005;                // relative error of the exitance
-  std::string operator_name = "elements";  // or "paper"
-  std::string source = "boundary";         // or "first-collision"
+  std::string type = "polygrid-diffusion";  // or "path-tracing"
+  double nodes = 1e5;                       // of the polygrid
+  double tolerance = 0.005;                 // relative error of the exitance
+  std::string operator_name = "elements";   // or "paper"
+  std::string source = "boundary";          // or "first-collision"
+  double paths = 1e7;                       // of light, where the reference follows them
   int samples_per_pixel = 16;
 };
 

@@ -151,13 +151,16 @@ std::vector<SceneKey> make_schema() {
       positive("floor.radius", "", 2.5, 1e3, "where it has faded into the background, in sizes of the object"),
 
       section("method", "how light inside the object is computed, and how finely"),
-      word("method.type", "polygrid-diffusion", {"polygrid-diffusion"}, "the method"),
+      word("method.type", "polygrid-diffusion", {"polygrid-diffusion", "path-tracing"},
+           "diffusion on a polygrid, or light paths (sg-reference): exact, slow and noisy"),
       number("method.nodes", "", 1e5, 1e3, 2e7, "nodes of the polygrid"),
       {"method.tolerance", KeyType::number, "", 0.005, 1e-12, 0.5, false, {}, "relative error of the exitance"},
       word("method.operator", "elements", {"elements", "paper"},
            "discretisation: trilinear elements, or the paper's six-neighbour weights"),
       word("method.source", "boundary", {"boundary", "first-collision"},
            "where light becomes diffuse: at the surface, or where refracted beams first meet matter"),
+      number("method.paths", "", 1e7, 1, 1e15,
+             "light paths, of path-tracing and of reference.ply, which Make makes on demand"),
       integer("method.samples_per_pixel", 16, 1, 65536, "camera rays a pixel"),
   };
 }

@@ -44,6 +44,7 @@ std::vector<Rgb> read_fluence(const std::string& path, Eigen::Index points) {
 
 std::vector<double> channels(const Double4& a) { return {a[0], a[1], a[2]}; }
 std::vector<double> channels(const Eigen::Array3d& a) { return {a[0], a[1], a[2]}; }
+std::vector<double> channels(const Rgb& a) { return {a[0], a[1], a[2]}; }
 
 void record(const DiffusionResult& r, nlohmann::json& results) {
   results["energy"] = {{"entering", channels(r.energy.entering)},
@@ -77,10 +78,12 @@ void record(const DiffusionResult& r, nlohmann::json& results) {
   results["material_samples"] = r.samples;
   results["material_samples_in_shell"] = r.samples_from_shell;
   results["material_samples_floored"] = r.samples_floored;
-  results["least_cells_per_mean_free_path"] = {r.cells_per_mean_free_path[0], r.cells_per_mean_free_path[1],
-                                               r.cells_per_mean_free_path[2]};
+  results["least_cells_per_mean_free_path"] = channels(r.cells_per_mean_free_path);
   results["share_under_resolved"] = r.under_resolved;
   results["share_below_diffusion_albedo"] = r.dark;
+  results["reduced_albedo"] = channels(r.regime.reduced_albedo);
+  results["thickness_in_mean_free_paths"] = channels(r.regime.thickness);
+  results["expected_error_of_diffusion"] = channels(r.expected_error);
   results["negative_exitance_vertices"] = r.negative_vertices;
   results["least_exitance"] = r.least_exitance;
   if (r.core)

@@ -18,7 +18,8 @@ void print_reasons(const Plan& plan, const std::string& folder, StageRun& run) {
   if (!folder.empty()) states = refresh_plan_folder(folder);
   run.print("material: " + plan.material);
   for (const PlannedStage& stage : plan.stages) {
-    std::string line = fmt::format("{:<14} {:<9} {}", stage.name, stage.needed ? "run" : "left out", stage.reason);
+    const char* const fate = !stage.needed ? "left out" : stage.on_demand ? "on demand" : "run";
+    std::string line = fmt::format("{:<14} {:<9} {}", stage.name, fate, stage.reason);
     for (const StageState& state : states)
       if (state.name == stage.name) line += state.up_to_date ? " (up to date)" : " (to be made: " + state.why + ")";
     run.print(line);
@@ -54,6 +55,7 @@ int main(int argc, char** argv) {
     if (scene.empty()) throw UsageError("missing SCENE");
     if (folder.empty() && !why) throw UsageError("nothing to do: give -o FOLDER or --why");
     const Plan plan = make_plan(scene);
+    for (const std::string& warning : plan.warnings) run.progress().warn(warning);
     const std::string executables = std::filesystem::read_symlink("/proc/self/exe").parent_path().string();
     if (!folder.empty()) write_plan_folder(plan, folder, executables);
     if (why) print_reasons(plan, folder, run);

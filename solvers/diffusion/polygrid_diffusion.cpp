@@ -24,7 +24,7 @@ std::string percent(double share) {
   return text;
 }
 
-// What diffusion cannot show well with this material on this grid.
+// What diffusion cannot show well with this material on this grid. Needs the fluence.
 void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficients, DiffusionResult& result,
                     Progress& progress) {
   const std::size_t count = coefficients.absorption.size();
@@ -52,6 +52,10 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
     result.core->absorption.clear();
     result.core->reduced_extinction.clear();
   }
+  result.regime = diffusion_regime(polygrid, coefficients, result.fluence);
+  result.expected_error = expected_diffusion_error(result.regime, result.beams.has_value());
+  Eigen::Array<bool, 3, 1> lit;
+  for (int c = 0; c < 3; ++c) lit[c] = result.energy.entering[c] > 0;
   if (result.under_resolved > 0.01) {
     const auto rank = reaches.begin() + static_cast<std::ptrdiff_t>(0.99 * static_cast<double>(count - 1));
     std::nth_element(reaches.begin(), rank, reaches.end());
@@ -61,7 +65,10 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
                     "above 0.5 %; 4 cells would take {:.1g} nodes (method.nodes), this grid has {:.2g}",
                     percent(result.under_resolved), nodes * std::pow(*rank / 0.25, 3), nodes));
   }
-  if (result.dark > 0.001)
+  const std::string beyond = diffusion_warning(result.regime, result.beams.has_value(), lit);
+  if (!beyond.empty())
+    progress.warn(beyond);
+  else if (result.dark > 0.001)
     progress.warn("the reduced albedo is below 0.53 in " + percent(result.dark) + " of the object, where diffusion" +
                   (result.beams ? " is off by a sixth and more" : "'s exitance turns negative"));
   if (coefficients.floored > 0)
@@ -92,9 +99,10 @@ void judge_solution(const Polygrid& polygrid, const DiffusionOptions& options, c
   bool impossible = false;
   for (int c = 0; c < 3; ++c) impossible |= result.energy.leaving[c] < -1e-6 * result.energy.entering[c];
   if (impossible)
-    throw NumericalError("less than no light leaves: the exitance is negative at " + percent(negative) +
-                         " of the vertices; the grid's cells are wider than the light's reach, or the material is too "
-                         "dark for diffusion; try more nodes (method.nodes), a smaller object or a higher albedo");
+    throw NumericalError(
+        "less than no light leaves: the exitance is negative at " + percent(negative) +
+        " of the vertices; the grid's cells are wider than the light's reach, or the material is too "
+        "dark for diffusion; try more nodes (method.nodes), a smaller object or a higher albedo, or sg-reference");
   if (negative > 0)
     progress.warn("the exitance is negative at " + std::to_string(result.negative_vertices) + " of " +
                   std::to_string(result.exitance.size()) +
@@ -259,9 +267,9 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
                                             result.beams ? &*result.beams : nullptr, options, result);
   if (result.beams) result.beams->source.clear();
   progress.end();
+  result.fluence = std::move(fields.fluence);
   judge_material(polygrid, coefficients, result, progress);
 
-  result.fluence = std::move(fields.fluence);
   result.exitance = transfer.to_vertices(fields.exitance);
   for (const Rgb& value : result.exitance) {
     result.negative_vertices += (value < 0).any();

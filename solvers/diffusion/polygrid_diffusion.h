@@ -13,6 +13,7 @@
 #include "solvers/diffusion/beam_source.h"
 #include "solvers/diffusion/core_extension.h"
 #include "solvers/diffusion/diffusion_solver.h"
+#include "solvers/diffusion/diffusion_validity.h"
 #include "solvers/render/lights.h"
 
 namespace shellgrid {
@@ -45,6 +46,8 @@ struct DiffusionResult {
   Rgb cells_per_mean_free_path = Rgb::Zero();        // the least over the object, 1/(σ_tr h); 0: no absorption
   double under_resolved = 0;                         // share of samples with fewer than four cells to it
   double dark = 0;                                   // share of samples whose reduced albedo is below .53
+  DiffusionRegime regime;                            // of the object under this light
+  Rgb expected_error = Rgb::Zero();                  // of the exitance against transport, by the regime
   std::int64_t light_directions = 0, light_facing_away = 0, light_occluded = 0;
   std::int64_t samples_from_shell = 0, samples_floored = 0, samples = 0;
   std::optional<CoreExtension> core;  // where the core is interpolated; without its fields

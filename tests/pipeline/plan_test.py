@@ -9,7 +9,7 @@ import subprocess
 import time
 import unittest
 
-from programs import BIN, SOURCE, scene, workplace
+from programs import BIN, SOURCE, icosphere, scene, workplace
 
 STAND_IN = """#!/usr/bin/python3
 import hashlib, json, os, sys, time
@@ -45,7 +45,8 @@ for output in outputs + views:
 json.dump({"outputs": [{"path": o} for o in outputs + views]}, open(outputs[0] + ".json", "w"))
 """
 STAGES = ["prepare", "distance", "sample", "textons", "synthesize", "shell", "tetrahedralize", "polycube", "polygrid",
-          "diffuse", "render"]
+          "diffuse", "reference", "render"]
+MADE = [stage for stage in STAGES if stage != "reference"]  # on the way to the picture
 SHELL = {"shell": {"sample": "marble.json", "thickness": 2, "voxel": 0.5}, "core": "bottom-layer"}
 
 
@@ -111,7 +112,7 @@ class PlanTest(unittest.TestCase):
             return file.read()
 
     def test_a_heterogeneous_shell_needs_every_stage(self):
-        self.assertEqual(self.remake(), STAGES)
+        self.assertEqual(self.remake(), MADE)
         self.assertTrue(os.path.exists(self.artefact("image.png")))
 
     def test_nothing_changed_runs_nothing(self):
@@ -146,6 +147,74 @@ class PlanTest(unittest.TestCase):
         self.assertRegex(self.plan("--why").stdout, r"diffuse +left out +the material is opaque")
         self.assertEqual(self.make(), ["prepare", "render"])
 
+    def test_the_reference_is_made_where_it_is_asked_for(self):
+        self.assertRegex(self.plan("--why").stdout, r"reference +on demand +it judges")
+        self.assertNotIn("reference", self.remake("all", "views"))
+        self.assertEqual(self.make("reference.ply"), ["reference"])
+        self.assertEqual(self.make("reference.ply"), [])
+        # Only paths, lights and matter are its own.
+        self.content["method"].update(paths=2e6, tolerance=0.02)
+        self.put_scene()
+        self.assertEqual(self.remake("all", "reference.ply"), ["diffuse", "reference", "render"])
+        self.assertIn("-o reference.ply --paths 2e6 ", self.text("Makefile"))
+        self.content["camera"]["fov"] = 25
+        self.put_scene()
+        self.assertEqual(self.remake("reference.ply"), [])
+        self.content["lights"][0]["irradiance"] = [2, 1, 1]
+        self.put_scene()
+        self.assertEqual(self.remake("reference.ply"), ["reference"])
+
+    def test_path_tracing_needs_no_grid(self):
+        self.content["method"] = {"type": "path-tracing", "paths": 1e5}
+        self.put_scene()
+        why = self.plan("--why").stdout
+        self.assertRegex(why, r"polygrid +left out +the method path-tracing")
+        self.assertRegex(why, r"reference +run +the method path-tracing")
+        self.assertEqual(self.make(), ["prepare", "distance", "sample", "textons", "synthesize", "shell", "reference", "render"])
+        self.content["method"] = {}
+        self.put_scene()
+        self.assertEqual(self.remake(), ["tetrahedralize", "polycube", "polygrid", "diffuse", "render"])
+        self.content["material"], self.content["method"] = {"opaque": {}}, {"type": "path-tracing"}
+        self.put_scene()
+        self.assertEqual(self.remake(), ["prepare", "render"])
+
+    def test_warns_where_diffusion_is_out_of_its_range(self):
+        with open(os.path.join(self.scenes, "ball.off"), "w") as file:
+            vertices, faces = icosphere(2)
+            file.write("OFF\n%d %d 0\n" % (len(vertices), len(faces)))
+            for row in [*vertices, *([3, *face] for face in faces)]:
+                file.write(" ".join(map(str, row)) + "\n")
+        # A ball of 20 mm has a mean chord of 13.3 mm.
+        bright, dark = {"absorption": 0.003, "scattering": 3}, {"absorption": 1, "scattering": [9, 1, 9]}
+        for material, words in [
+                ({"core": bright}, None),
+                ({"core": dark}, "in green, where the reduced albedo is 0.5 and the object 26 mean free paths thick"),
+                ({"core": {"absorption": 0, "scattering": 0.15}}, "the reduced albedo is 1 and the object 2 mean free paths thick"),
+                ({"opaque": {}}, None),
+                (dict(SHELL, core=dark), None),  # the shell is jade
+                (dict(SHELL), None)]:
+            self.content["material"] = material
+            self.put_scene()
+            for planned in (self.plan(), self.plan("-q")):
+                self.assertEqual(planned.returncode, 0, planned.stderr)
+                if not words:
+                    self.assertEqual(planned.stderr, "")
+                    continue
+                self.assertEqual(planned.stderr.count("\n"), 1, planned.stderr)
+                self.assertIn("sg-plan: warning: diffusion is outside its range", planned.stderr)
+                self.assertIn(words, planned.stderr)
+                self.assertIn("sg-reference", planned.stderr)
+        self.content["material"] = {"core": dark}
+        self.content["method"]["type"] = "path-tracing"
+        self.put_scene()
+        self.assertEqual(self.plan().stderr, "")
+        # A shell whose materials are all dark.
+        self.content["method"]["type"] = "polygrid-diffusion"
+        self.content["material"] = dict(SHELL)
+        self.put("marble.json", json.dumps({"type": "spots", "materials": {"body": dark, "spot": dark}}))
+        self.put_scene()
+        self.assertIn("sg-plan: warning: diffusion is outside its range", self.plan().stderr)
+
     def test_each_change_runs_what_depends_on_it(self):
         self.remake()
         self.content["camera"]["fov"] = 25
@@ -166,7 +235,7 @@ class PlanTest(unittest.TestCase):
         self.put_scene()
         self.assertEqual(self.remake(), ["polycube", "polygrid", "diffuse", "render"])
         self.put("ball.off", "another mesh")
-        self.assertEqual(self.remake(), [s for s in STAGES if s not in ("sample", "textons")])
+        self.assertEqual(self.remake(), [s for s in MADE if s not in ("sample", "textons")])
 
     def test_a_scene_written_otherwise_with_the_same_content_runs_nothing(self):
         self.remake()
@@ -228,7 +297,7 @@ class PlanTest(unittest.TestCase):
 
     def test_jobs_side_by_side_make_the_same(self):
         self.plan()
-        self.assertEqual(self.make("-j4"), STAGES)
+        self.assertEqual(self.make("-j4"), MADE)
         self.assertEqual(self.make("-j4"), [])
 
     def test_a_failed_stage_fails_the_run_and_is_not_trusted(self):
@@ -249,7 +318,7 @@ class PlanTest(unittest.TestCase):
             return file.read().split()
 
     def test_a_killed_stage_is_not_trusted(self):
-        for stage in STAGES:
+        for stage in MADE:
             with self.subTest(stage):
                 shutil.rmtree(self.out, ignore_errors=True)
                 self.plan()
@@ -267,7 +336,7 @@ class PlanTest(unittest.TestCase):
                 make.wait()
                 before = self.ran()
                 self.assertEqual(before[-1], stage)
-                self.assertEqual(self.make(), [s for s in STAGES if s not in before[:-1]])
+                self.assertEqual(self.make(), [s for s in MADE if s not in before[:-1]])
                 self.assertEqual(self.make(), [])
 
     def test_names_are_data(self):
@@ -406,7 +475,8 @@ class PlanTest(unittest.TestCase):
                              "material.core.absorption": ["shell --core-absorption"],
                              "material.core.scattering": ["shell --core-scattering"],
                              "material.core.anisotropy": ["shell --core-anisotropy"],
-                             "method.nodes": ["polycube --nodes"]}.items():
+                             "method.nodes": ["polycube --nodes"],
+                             "method.paths": ["reference --paths"]}.items():
             row = next(line.split("|") for line in keys.splitlines() if "`%s`" % key in line)
             least, most = (float(x) for x in row[5].split("…"))
             for option in options:
@@ -414,7 +484,7 @@ class PlanTest(unittest.TestCase):
                 self.assertLessEqual(ranges[program][flag][0], least, option)
                 self.assertGreaterEqual(ranges[program][flag][1], most, option)
                 seen.add(option)
-        self.assertEqual(len(seen), 12)
+        self.assertEqual(len(seen), 13)
 
     def test_a_scene_without_what_a_picture_needs_is_refused(self):
         for missing in ("object", "material", "lights", "camera"):

@@ -144,6 +144,29 @@ class Diffuse(unittest.TestCase):
             self.assertAlmostEqual(energy["leaving"][c], boundary["energy"]["leaving"][c], delta=0.04 * energy["leaving"][c])
             self.assertNotEqual(energy["leaving"][c], boundary["energy"]["leaving"][c])
 
+    def test_says_and_records_where_diffusion_is_out_of_its_range(self):
+        # A ball of 20 mm has a mean chord of 13.3 mm.
+        for material, source, low, high, warns in [
+                ({"absorption": 0.003, "scattering": 3}, "boundary", 0.02, 0.08, False),
+                ({"absorption": 0.003, "scattering": 3}, "first-collision", 0.002, 0.03, False),
+                ({"absorption": 0.0002, "scattering": 0.2}, "boundary", 0.2, 0.5, True),
+                ({"absorption": 0.5, "scattering": 1.5}, "first-collision", 0.1, 0.25, True)]:
+            done = self.diffuse("judged", "--source", source, scene=self.variant("judged.json", material={"core": material}))
+            self.assertEqual(done.returncode, 0, done.stderr)
+            results = programs.record(type(self).at("judged.hdf"))["results"]
+            extinction = material["absorption"] + material["scattering"]
+            for c in range(3):
+                self.assertAlmostEqual(results["reduced_albedo"][c], material["scattering"] / extinction, delta=1e-5)
+                self.assertAlmostEqual(results["thickness_in_mean_free_paths"][c] / extinction, 13.3, delta=0.4)
+                self.assertGreater(results["expected_error_of_diffusion"][c], low)
+                self.assertLess(results["expected_error_of_diffusion"][c], high)
+            said = [line for line in done.stderr.splitlines() if "diffusion is outside its range" in line]
+            self.assertEqual(len(said), 1 if warns else 0, done.stderr)
+            for line in said:
+                self.assertTrue(line.startswith("sg-diffuse: warning: "))
+                self.assertIn("sg-reference", line)
+                self.assertIn("reduced albedo", line)
+
     def test_a_tighter_tolerance_changes_little(self):
         self.assertEqual(self.diffuse("loose").returncode, 0)
         self.assertEqual(self.diffuse("tight", "--tolerance", "1e-8").returncode, 0)

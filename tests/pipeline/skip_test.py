@@ -97,7 +97,7 @@ class SkipTest(unittest.TestCase):
 
     def test_a_stage_killed_in_the_middle_leaves_nothing_that_make_would_trust(self):
         with open(os.path.join(self.out, "plan", "plan.json")) as file:
-            stages = [stage for stage in json.load(file)["stages"] if stage["needed"]]
+            stages = [stage for stage in json.load(file)["stages"] if stage["needed"] and not stage["on_demand"]]
         before = self.digests()
         for stage in stages:
             with self.subTest(stage["name"]):
