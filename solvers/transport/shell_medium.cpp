@@ -11,6 +11,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/random.h"
+#include "solvers/transport/core_voxels.h"
 #include "solvers/transport/homogeneous_medium.h"
 
 namespace shellgrid {
@@ -202,10 +203,11 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
     if (source == core_source) return std::uint32_t{0};
     if (source == space_source) return list.index_of(Material(), false);
     const int leaf = source / 512, offset = source % 512;
+    const Vec3i v = 8 * shell.extinction.leaf_coordinate(leaf) + Vec3i(offset >> 6, offset >> 3 & 7, offset & 7);
     return list.index_of(
         {shell.extinction.leaf_values(leaf)[offset].array(), shell.albedo.leaf_values(leaf)[offset].array(),
          shell.anisotropy.leaf_values(leaf)[offset].array()},
-        false);
+        shell.kind.value(v.x(), v.y(), v.z()) == core_voxel_kind);
   };
 
   ClearanceGrid clearance(origin_, origin_ + 8 * voxel_ * count_.cast<double>(),

@@ -5,6 +5,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/shell/voxel_boundary.h"
+#include "solvers/transport/core_voxels.h"
 
 namespace shellgrid {
 namespace {
@@ -33,14 +34,11 @@ TransportObject::TransportObject(const TriangleMesh& mesh, const ShellVolume& sh
                                  const LeafMethod* method)
     : mesh_(mesh), ior_(ior), medium_(HomogeneousMedium(Material())) {
   if (!(ior >= 1) || !std::isfinite(ior)) throw InputError("the refractive index must be at least 1");
-  if (shell.core_interpolated)
-    throw InputError(
-        "shell: its core continues the bottom layer; transport takes a homogeneous core (sg-shell --core "
-        "bottom-layer, or coefficients)");
   surface_ = std::make_unique<TransportSurface>(mesh_, TriangleMesh());
+  const auto inside = [this](const Vec3& point) { return contains(point); };
   std::vector<Vec3i> free_voxels;
-  medium_ = ShellMedium(
-      shell, [this](const Vec3& point) { return contains(point); }, &free_voxels, method);
+  medium_ = shell.core_interpolated ? ShellMedium(with_core_voxels(shell, inside), inside, &free_voxels, method)
+                                    : ShellMedium(shell, inside, &free_voxels, method);
   free_space_ = voxel_boundary(shell.frame, free_voxels);
   if (free_space_.face_count() > 0) surface_ = std::make_unique<TransportSurface>(mesh_, free_space_);
   clearance_ = surface_clearance(mesh_, free_space_);

@@ -19,8 +19,8 @@ class TransportObject {
   // A homogeneous one. `ior` ≥ 1, inside over outside. Throws: InputError.
   TransportObject(const TriangleMesh& mesh, const Material& material, double ior);
 
-  // A shell of voxels over its homogeneous core. Where the shell has free space, the surface of that is the object's,
-  // too. `method`: nothing, or one for all leaves. Throws: InputError, also for a core that is not homogeneous.
+  // A shell of voxels over its core, which is homogeneous or, interpolated, made of voxels too. Where the shell has
+  // free space, the surface of that is the object's, too. `method`: nothing, or one for all leaves. Throws: InputError.
   TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior, const LeafMethod* method = nullptr);
 
   const TriangleMesh& mesh() const { return mesh_; }

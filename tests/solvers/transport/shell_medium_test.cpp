@@ -278,9 +278,6 @@ TEST(ShellMedium, NonsenseIsRefused) {
   const TriangleMesh ball = shapes::sphere(5, 3);
   ShellVolume shell =
       test::shell_of(to_ball, 5, 0.5, 2, grey(0, 1), [](const Vec3&, double) { return test::ShellVoxel{grey(0, 1)}; });
-  ShellVolume interpolated = shell;
-  interpolated.core_interpolated = true;
-  EXPECT_THROW(TransportObject(ball, interpolated, 1), InputError);
   shell.extinction.leaf_values(0)[0] = Vec3f::Constant(-1);
   for (int n = 0; n < 512; ++n) shell.extinction.leaf_values(0)[n] = Vec3f::Constant(-1);
   EXPECT_THROW(TransportObject(ball, shell, 1), InputError);
