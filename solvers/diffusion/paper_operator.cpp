@@ -132,7 +132,8 @@ ChannelSolution relax(const ChannelSystem& system, const PaperProblem& problem, 
   const int* column = system.matrix.innerIndexPtr();
   const double* value = system.matrix.valuePtr();
   for (;; ++solution.iterations) {
-    if (problem.watch) solution.stopped = problem.watch({level, channel, solution.iterations, solution.residual, solution.psi});
+    if (problem.watch)
+      solution.stopped = problem.watch({level, channel, solution.iterations, solution.residual, solution.psi});
     if (solution.stopped && !solution.history.empty()) break;
     double sum = 0;
     for (Eigen::Index k = 0; k < count; ++k) {
