@@ -10,9 +10,8 @@
 // on the wall; libraries are given their matrix (assembly_s), this project's set-up makes its own. `ratio` is set-up
 // and solve over this project's cold row of the same size and level, `solve_ratio` the solve alone. An application is
 // one product with the method's matrices; the floor is its bytes at the speed of the triad. `discretisation_error`: of
-// the exact exitance at the surface's vertices, against the finest polygrid in FOLDER: most of it is how the grid blurs
-// the shadows' edges, for the exitance holds what of the light is turned back at once; `surface_fluence_error` is the
-// same of the fluence there, without it.
+// the exact exitance at the surface's vertices, against the finest polygrid in FOLDER; `soft_light_error` is the same
+// under a light that varies slowly over the surface.
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
@@ -78,7 +77,7 @@ struct Scene {
   VeinedMarble marble;
   std::vector<double> vertex_area;
   std::vector<Rgb> irradiance, turned;  // at the vertices; of the light turned by 5°
-  std::vector<Rgb> finest;              // exitance and fluence at the vertices, one after the other
+  std::vector<Rgb> finest;              // exitance at the vertices, then that of the soft light
   Limits limits;
 
   explicit Scene(const std::string& path) : surface(read_mesh(path).mesh) {
@@ -99,7 +98,7 @@ struct Scene {
       for (int k = 0; k < 3; ++k) vertex_area[surface.faces(f, k)] += (b - a).cross(c - a).norm() / 6;
     }
   }
-  // Of exitance and fluence at the vertices, into a row or a problem; 0 where nothing finer is known.
+  // Of the two exitances at the vertices, into a row or a problem; 0 where nothing finer is known.
   template <class Target>
   void judge(const std::vector<Rgb>& at_vertices, Target& target) const {
     if (finest.empty()) return;
@@ -108,31 +107,30 @@ struct Scene {
       return std::vector<Rgb>(v.begin() + k * half, v.begin() + (k + 1) * half);
     };
     target.discretisation_error = difference(vertex_area, part(at_vertices, 0), part(finest, 0));
-    target.fluence_error = difference(vertex_area, part(at_vertices, 1), part(finest, 1));
+    target.soft_error = difference(vertex_area, part(at_vertices, 1), part(finest, 1));
   }
 };
 
-// Exitance and, by D2 and D3, fluence at the vertices: from values at the points of a surface, which `carry` takes
-// there.
-template <class Carry>
-std::vector<Rgb> exitance_and_fluence(const std::vector<Rgb>& exitance, const std::vector<Rgb>& irradiance,
-                                      const Carry& carry) {
-  const DiffuseFresnel fresnel = diffuse_fresnel(ior);
-  const auto reflected = static_cast<float>((1 - fresnel.current_reflectance) / (1 + fresnel.current_reflectance));
-  std::vector<Rgb> fluence(exitance.size());
-  for (std::size_t i = 0; i < fluence.size(); ++i)
-    fluence[i] = static_cast<float>(2 * fresnel.boundary_factor) * (exitance[i] + reflected * irradiance[i]);
-  std::vector<Rgb> both = carry(exitance);
-  const std::vector<Rgb> second = carry(fluence);
-  both.insert(both.end(), second.begin(), second.end());
-  return both;
+// A light that varies slowly from place to place.
+Double4 soft_light(const Scene& scene, const Vec3& place) {
+  const double q = 1 + 1.5 * place.dot(Vec3(0.6, 0.5, -0.6)) / scene.marble.size;
+  return Double4{q, q, q, 0};
+}
+
+std::vector<Rgb> joined(std::vector<Rgb> a, const std::vector<Rgb>& b) {
+  a.insert(a.end(), b.begin(), b.end());
+  return a;
 }
 
 // This project's solver on a polygrid under a scene's two lights.
 class OwnSolver {
  public:
   OwnSolver(const Polygrid& grid, const Scene& scene, const SolverParameters& parameters = {})
-      : grid_(grid), transfer_(grid, scene.surface), coefficients_(scene.marble.of(grid)), solver_(grid, parameters) {
+      : grid_(grid),
+        scene_(scene),
+        transfer_(grid, scene.surface),
+        coefficients_(scene.marble.of(grid)),
+        solver_(grid, parameters) {
     point_light_ = transfer_.to_points(scene.irradiance);
     light_.irradiance = solver_.to_outer(point_light_);
     turned_.irradiance = solver_.to_outer(transfer_.to_points(scene.turned));
@@ -145,22 +143,28 @@ class OwnSolver {
   const SurfaceTransfer& transfer() const { return transfer_; }
   const PeakMemory& memory() const { return memory_; }  // of the solver alone
 
-  std::vector<Rgb> at_vertices(const std::vector<Double4>& exitance) const {
-    std::vector<Rgb> points(grid_.points.rows(), Rgb::Zero());
-    for (std::size_t s = 0; s < exitance.size(); ++s) points[solver_.grid().outer_point[s]] = to_rgb(exitance[s]);
-    return points_at_vertices(points);
+  // The exact exitance at the vertices: of the light, which is given, and of the soft one.
+  std::vector<Rgb> at_vertices(const std::vector<Double4>& exitance) {
+    DiffusionLight soft;
+    for (std::int32_t point : solver_.grid().outer_point) soft.irradiance.push_back(to_float(soft_point_light(point)));
+    solver_.solve(soft, 1e-9);
+    return joined(to_vertices(exitance), to_vertices(solver_.exitance(soft)));
   }
-  std::vector<Rgb> points_at_vertices(const std::vector<Rgb>& points) const {
-    return exitance_and_fluence(points, point_light_,
-                                [&](const auto& values) { return transfer_.to_vertices(values); });
-  }
+  Double4 soft_point_light(Eigen::Index point) const { return soft_light(scene_, grid_.points.row(point).transpose()); }
   std::vector<Double4> exact(bool turned) {
     solver_.solve(light(turned), 1e-9);
     return solver_.exitance(light(turned));
   }
 
  private:
+  std::vector<Rgb> to_vertices(const std::vector<Double4>& exitance) const {
+    std::vector<Rgb> points(grid_.points.rows(), Rgb::Zero());
+    for (std::size_t s = 0; s < exitance.size(); ++s) points[solver_.grid().outer_point[s]] = to_rgb(exitance[s]);
+    return transfer_.to_vertices(points);
+  }
+
   const Polygrid& grid_;
+  const Scene& scene_;
   SurfaceTransfer transfer_;
   CellCoefficients coefficients_;
   PeakMemory memory_;
@@ -169,66 +173,70 @@ class OwnSolver {
   DiffusionLight light_, turned_;
 };
 
-// What a run with one asked tolerance came to.
-struct Run {
-  Seconds setup, solve;
-  double error;
-};
-
-void append_best(Row row, const std::vector<Run>& runs, std::vector<Row>& rows) {
-  for (double level : error_levels) {
-    const Run* best = nullptr;
-    for (const Run& run : runs)
-      if (run.error <= level &&
-          (!best || run.setup.processor + run.solve.processor < best->setup.processor + best->solve.processor))
-        best = &run;
-    row.level = level;
-    row.note = best ? "" : "not reached";
-    if (best) row.error = best->error, row.setup = best->setup, row.solve = best->solve;
-    rows.push_back(row);
-  }
-}
-
-// How this project's solver may be asked to solve.
+// How this project's solver may be asked to solve: any of the parameters, whichever is quickest to a level.
 struct Variant {
   std::string name;
-  SolverParameters parameters;
+  std::vector<SolverParameters> parameters;
   bool warm = false;
 };
 
-void run_own(const std::string& size, const Polygrid& grid, const Scene& scene, const Variant& variant,
-             const std::vector<Double4>& exact, const DiscreteProblem& problem, std::vector<Row>& rows) {
-  OwnSolver own(grid, scene, variant.parameters);
+// A row for each tolerance that is asked for, all with their errors.
+void run_own(const Row& blank, const Polygrid& grid, const Scene& scene, const SolverParameters& parameters, bool warm,
+             const std::vector<Double4>& exact, std::vector<Row>& runs) {
+  OwnSolver own(grid, scene, parameters);
   DiffusionSolver& solver = own.solver();
-  Row row;
-  row.size = size, row.method = variant.name, row.discretisation = "trilinear", row.unknowns = solver.size();
-  std::vector<Run> runs;
+  const std::size_t first = runs.size();
   Seconds setup;
   bool single = false;
   for (double tolerance : {0.3, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4}) {
-    if (runs.empty() || (tolerance < variant.parameters.exact_below && !single)) {
-      single = tolerance < variant.parameters.exact_below;
-      setup = least_time_of(3, [&] { own.set_material(single ? tolerance : variant.parameters.exact_below); });
+    if (runs.size() == first || (tolerance < parameters.exact_below && !single)) {
+      single = tolerance < parameters.exact_below;
+      setup = least_time_of(3, [&] { own.set_material(single ? tolerance : parameters.exact_below); });
     }
-    Run run{setup, {1e300, 1e300}, 0};
+    Row run = blank;
+    run.unknowns = solver.size();
+    run.setup = setup;
+    run.solve = {1e300, 1e300};
     for (int k = 0; k < 5; ++k) {
-      if (variant.warm) solver.solve(own.light(false), tolerance);
-      const Seconds s = time_of([&] { solver.solve(own.light(variant.warm), tolerance, variant.warm); });
+      if (warm) solver.solve(own.light(false), tolerance);
+      const Seconds s = time_of([&] { solver.solve(own.light(warm), tolerance, warm); });
       if (s.processor < run.solve.processor) run.solve = s;
     }
-    run.error = difference(solver.surface().area, solver.exitance(own.light(variant.warm)), exact);
+    run.error = difference(solver.surface().area, solver.exitance(own.light(warm)), exact);
     runs.push_back(run);
   }
-  row.bytes = own.memory().bytes();
-  {
-    const RunLevel& level = solver.finest();
-    LevelVector<float> x(level.inner_size(), level.size() - level.inner_size()),
-        y(level.inner_size(), level.size() - level.inner_size());
-    row.application = least_time_of(3, [&] { apply_level(level, x, y, true); }).processor;
+  const double bytes = own.memory().bytes();
+  const RunLevel& level = solver.finest();
+  LevelVector<float> x(level.inner_size(), level.size() - level.inner_size()),
+      y(level.inner_size(), level.size() - level.inner_size());
+  const double application = least_time_of(3, [&] { apply_level(level, x, y, true); }).processor;
+  for (std::size_t k = first; k < runs.size(); ++k) {
+    runs[k].bytes = bytes;
+    runs[k].application = application;
+    runs[k].floor = static_cast<double>(solver.sweep_bytes()) / scene.limits.triad;
   }
-  row.floor = static_cast<double>(solver.sweep_bytes()) / scene.limits.triad;
-  row.discretisation_error = problem.discretisation_error, row.fluence_error = problem.fluence_error;
-  append_best(row, runs, rows);
+}
+
+void run_own(const std::string& size, const Polygrid& grid, const Scene& scene, const Variant& variant,
+             const std::vector<Double4>& exact, const DiscreteProblem& problem, std::vector<Row>& rows) {
+  Row blank;
+  blank.size = size;
+  blank.method = variant.name;
+  blank.discretisation = "trilinear";
+  blank.discretisation_error = problem.discretisation_error, blank.soft_error = problem.soft_error;
+  std::vector<Row> runs;
+  for (const SolverParameters& parameters : variant.parameters)
+    run_own(blank, grid, scene, parameters, variant.warm, exact, runs);
+  for (double level : error_levels) {
+    Row best = blank;
+    best.note = "not reached";
+    for (const Row& run : runs)
+      if (run.error <= level && (!best.note.empty() || run.setup.processor + run.solve.processor <
+                                                           best.setup.processor + best.solve.processor))
+        best = run;
+    best.level = level;
+    rows.push_back(best);
+  }
 }
 
 // The paper's operator under D2's boundary condition, so that its exitance is D3's.
@@ -254,6 +262,14 @@ struct PaperCase {
   double exitance(std::size_t k, int c, double fluence) const {
     return fluence / (2 * problem.boundary_factor) - reflected * scale * problem.boundary_light[k][c];
   }
+  // Exitance of the exact solution at the boundary nodes.
+  std::vector<Double4> solve(const Polygrid& grid) const {
+    const PaperSolution exact = solve_paper_operator(grid.graph, problem, grid.hierarchy);
+    std::vector<Double4> result(area.size(), Double4{});
+    for (std::size_t k = 0; k < area.size(); ++k)
+      for (int c = 0; c < 3; ++c) result[k][c] = exitance(k, c, exact.boundary[k][c]);
+    return result;
+  }
   // [Diffusion eq. 9], second line.
   double boundary_fluence(const PolygridGraph& graph, std::size_t k, int c, const Eigen::VectorXd& psi) const {
     const std::int32_t owner = graph.boundary_owner[k];
@@ -268,23 +284,29 @@ void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene
   const PolygridGraph& graph = grid.graph;
   const std::size_t quads = paper.area.size();
   paper.problem.tolerance = 1e-9;
-  const PaperSolution exact = solve_paper_operator(graph, paper.problem, grid.hierarchy);
-  std::vector<Double4> exitance(quads);
+  const auto at_vertices = [&](const PaperCase& some, const std::vector<Double4>& values) {
+    std::vector<Rgb> points(grid.points.rows(), Rgb::Zero());
+    std::vector<float> count(grid.points.rows(), 0.0f);
+    for (std::size_t k = 0; k < some.area.size(); ++k)
+      for (int a = 0; a < 4; ++a) {
+        points[grid.boundary_quads(k, a)] += to_rgb(values[k]);
+        ++count[grid.boundary_quads(k, a)];
+      }
+    for (std::size_t p = 0; p < points.size(); ++p)
+      if (count[p] > 0) points[p] /= count[p];
+    return own.transfer().to_vertices(points);
+  };
+  const std::vector<Double4> exitance = paper.solve(grid);
   Double4 norm{};
-  std::vector<Rgb> points(grid.points.rows(), Rgb::Zero());
-  std::vector<float> count(grid.points.rows(), 0.0f);
-  for (std::size_t k = 0; k < quads; ++k) {
-    for (int c = 0; c < 3; ++c) exitance[k][c] = paper.exitance(k, c, exact.boundary[k][c]);
-    norm += paper.area[k] * exitance[k] * exitance[k];
-    for (int a = 0; a < 4; ++a) {
-      points[grid.boundary_quads(k, a)] += to_rgb(exitance[k]);
-      ++count[grid.boundary_quads(k, a)];
-    }
-  }
-  for (std::size_t p = 0; p < points.size(); ++p)
-    if (count[p] > 0) points[p] /= count[p];
+  for (std::size_t k = 0; k < quads; ++k) norm += paper.area[k] * exitance[k] * exitance[k];
   Row judged;
-  scene.judge(own.points_at_vertices(points), judged);
+  {
+    std::vector<Rgb> light;
+    for (Eigen::Index p = 0; p < grid.points.rows(); ++p) light.push_back(to_rgb(own.soft_point_light(p)));
+    PaperCase soft(grid, own.coefficients(), light);
+    soft.problem.tolerance = 1e-9;
+    scene.judge(joined(at_vertices(paper, exitance), at_vertices(soft, soft.solve(grid))), judged);
+  }
 
   const int depth = static_cast<int>(std::ceil(paper_depth / grid.spacing));
   struct Variant {
@@ -301,7 +323,8 @@ void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene
     if (variant.depth > 0) problem.depths.assign(grid.hierarchy.size(), variant.depth);
     // Each channel has a thread of its own, whose clock stands still while its exitance is looked at.
     struct Watched {
-      double since = 0, spent = 0, looking = 0;
+      double since = 0, spent = 0, looking = 0, finest = 0;
+      int passes = 0;
       std::array<double, error_levels.size()> seconds, error{};
       Watched() { seconds.fill(-1); }
     };
@@ -309,7 +332,10 @@ void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene
     problem.watch = [&](const PaperPass& pass) {
       Watched& own_watch = watched[pass.channel];
       const double now = clock_seconds(CLOCK_THREAD_CPUTIME_ID);
-      if (pass.passes > 0) own_watch.spent += now - own_watch.since;
+      if (pass.passes > 0) {
+        own_watch.spent += now - own_watch.since;
+        if (pass.level == 0) own_watch.finest += now - own_watch.since, ++own_watch.passes;
+      }
       bool done = own_watch.spent > scene.limits.seconds || (pass.level > 0 && pass.residual < coarse_residual);
       if (pass.level == 0) {
         double sum = 0;
@@ -341,9 +367,15 @@ void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene
       row.note = e.what();
     }
     row.bytes = memory.bytes();
-    row.discretisation_error = judged.discretisation_error, row.fluence_error = judged.fluence_error;
+    row.discretisation_error = judged.discretisation_error, row.soft_error = judged.soft_error;
     double others = 0;
-    for (const Watched& w : watched) others += w.spent + w.looking;
+    row.application = 0;
+    for (const Watched& w : watched) {
+      others += w.spent + w.looking;
+      if (w.passes > 0) row.application += w.finest / w.passes;
+    }
+    // Of each channel and node: seven coefficients with their columns, the light, the diagonal, the change, twice κφ.
+    row.floor = 3 * (7 * 12 + 5 * 8) * static_cast<double>(row.unknowns) / scene.limits.triad;
     row.setup = {std::max(0.0, whole.processor - others), std::max(0.0, whole.processor - others)};
     for (std::size_t l = 0; l < error_levels.size(); ++l) {
       row.level = error_levels[l];
@@ -396,8 +428,8 @@ void run_polygrid(const std::string& size, const std::string& path, const Scene&
       exact = own.exact(false);
       scene.judge(own.at_vertices(exact), problem);
     }
-    run_own(size, grid, scene, {"shellgrid cold", {}, false}, exact, problem, rows);
-    run_own(size, grid, scene, {"shellgrid warm", {}, true}, exact_turned, problem, rows);
+    run_own(size, grid, scene, {"shellgrid cold", {{}}, false}, exact, problem, rows);
+    run_own(size, grid, scene, {"shellgrid warm", {{}}, true}, exact_turned, problem, rows);
   }
   {
     OwnSolver own(grid, scene);
@@ -439,18 +471,23 @@ void run_tetrahedra(const std::string& size, const std::string& path, const Scen
   const ClosestPointQuery query(scene.surface);
   for (Eigen::Index p = 0; p < mesh.points.rows(); ++p)
     if (system.boundary_area[p] > 0) irradiance[p] = light_near(scene, query, mesh.points.row(p).transpose());
+  std::vector<Double4> soft_irradiance(mesh.points.rows());
+  for (Eigen::Index p = 0; p < mesh.points.rows(); ++p)
+    soft_irradiance[p] = soft_light(scene, mesh.points.row(p).transpose());
+  const std::vector<Double4> soft_exitance = boundary_exitance(
+      system, solve_exactly(system.matrix, boundary_source(system, soft_irradiance)), soft_irradiance);
   take_system(system, irradiance, problem);
+  std::vector<Rgb> exitance, soft;
+  for (const DiscreteProblem::Outlet& o : problem.outlets) {
+    exitance.push_back(to_rgb(o.exitance));
+    soft.push_back(to_rgb(soft_exitance[o.unknown]));
+  }
   // The boundary's vertices are the outlets, in their order.
   const TriangleMesh boundary = boundary_of(mesh);
   const ClosestPointQuery boundary_query(boundary);
   std::vector<SurfacePoint> places;
   for (int v = 0; v < scene.surface.vertex_count(); ++v)
     places.push_back(boundary_query.nearest(scene.surface.vertex(v)));
-  std::vector<Rgb> exitance, light;
-  for (const DiscreteProblem::Outlet& o : problem.outlets) {
-    exitance.push_back(to_rgb(o.exitance));
-    light.push_back(to_rgb(irradiance[o.unknown]));
-  }
   const auto carry = [&](const std::vector<Rgb>& values) {
     std::vector<Rgb> result;
     for (const SurfacePoint& at : places) {
@@ -461,7 +498,7 @@ void run_tetrahedra(const std::string& size, const std::string& path, const Scen
     }
     return result;
   };
-  scene.judge(exitance_and_fluence(exitance, light, carry), problem);
+  scene.judge(joined(carry(exitance), carry(soft)), problem);
   run_libraries(problem, scene.limits, rows);
 }
 
@@ -489,21 +526,26 @@ void run_embedded(const std::string& size, const Scene& scene, std::vector<Row>&
                        system = assemble_embedded_system(grid, absorption, extinction, ior);
                      }).processor;
   const ClosestPointQuery query(scene.surface);
-  std::vector<Double4> irradiance;
-  for (const EmbeddedGrid::Piece& piece : grid.pieces) irradiance.push_back(light_near(scene, query, piece.centre));
+  std::vector<Double4> irradiance, soft_irradiance;
+  for (const EmbeddedGrid::Piece& piece : grid.pieces) {
+    irradiance.push_back(light_near(scene, query, piece.centre));
+    soft_irradiance.push_back(soft_light(scene, piece.centre));
+  }
   problem.source = boundary_source(system, irradiance);
   problem.fluence = solve_exactly(system.matrix, problem.source);
   const std::vector<Double4> exact = boundary_exitance(system, problem.fluence, irradiance);
-  std::vector<Rgb> exitance, light;
+  const std::vector<Double4> soft_exact = boundary_exitance(
+      system, solve_exactly(system.matrix, boundary_source(system, soft_irradiance)), soft_irradiance);
+  std::vector<Rgb> exitance, soft;
   for (std::size_t k = 0; k < exact.size(); ++k) {
     const EmbeddedSystem::Outlet& o = system.outlets[k];
     problem.outlets.push_back({o.cell, o.area, o.factor, exact[k]});
     exitance.push_back(to_rgb(exact[k]));
-    light.push_back(to_rgb(irradiance[k]));
+    soft.push_back(to_rgb(soft_exact[k]));
   }
   problem.matrix = std::move(system.matrix);
   const auto carry = [&](const std::vector<Rgb>& values) { return pieces_to_vertices(grid, scene.surface, values); };
-  scene.judge(exitance_and_fluence(exitance, light, carry), problem);
+  scene.judge(joined(carry(exitance), carry(soft)), problem);
   run_libraries(problem, scene.limits, rows);
 }
 

@@ -107,7 +107,7 @@ void append(const std::string& method, const DiscreteProblem& problem, const Lim
     row.bytes = tally.bytes;
     row.application = tally.application;
     row.floor = tally.pass_bytes / limits.triad;
-    row.discretisation_error = problem.discretisation_error, row.fluence_error = problem.fluence_error;
+    row.discretisation_error = problem.discretisation_error, row.soft_error = problem.soft_error;
     row.note = tally.note[l];
     rows.push_back(row);
   }

@@ -24,12 +24,12 @@ struct DiscreteProblem {
   std::vector<Double4> fluence;  // the exact one
   std::vector<Outlet> outlets;
   double assembly = 0;  // processor seconds that made the system
-  // Of the exact exitance, and of its fluence, at the object's surface; 0: not known.
-  double discretisation_error = 0, fluence_error = 0;
+  // Of the exact exitance, and of that under a soft light, at the object's surface; 0: not known.
+  double discretisation_error = 0, soft_error = 0;
 };
 
 struct Limits {
-  double seconds = 60;  // processor seconds that one method may take for a channel's iterations, or for a factor
+  double seconds = 20;  // processor seconds that one method may take for a channel's iterations, or for a factor
   double bytes = 8e9;   // that a factor may take
   double triad = 1e10;  // bytes a processor second
 };

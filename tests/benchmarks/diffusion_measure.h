@@ -84,14 +84,14 @@ struct Row {
   double bytes = 0;
   double application = 0;  // processor seconds of one product with the method's matrices, red, green and blue
   double floor = 0;        // processor seconds in which such a product's bytes pass at the triad's speed
-  double discretisation_error = 0, fluence_error = 0;
+  double discretisation_error = 0, soft_error = 0;
   std::string note;  // why there are no figures
 };
 
 constexpr const char* table_head =
     "size,method,discretisation,unknowns,level,error,assembly_s,setup_s,solve_s,setup_wall_s,solve_wall_s,bytes,ratio,"
     "solve_ratio,unknowns_per_core_s,applications_per_digit,floor_ratio,discretisation_error,"
-    "surface_fluence_error,note";
+    "soft_light_error,note";
 
 // `own`: this project's row of the same size and level, or null.
 inline void print(const Row& r, const Row* own) {
@@ -114,7 +114,7 @@ inline void print(const Row& r, const Row* own) {
   else
     std::printf(",,");
   if (r.discretisation_error > 0)
-    std::printf("%.3e,%.3e", r.discretisation_error, r.fluence_error);
+    std::printf("%.3e,%.3e", r.discretisation_error, r.soft_error);
   else
     std::printf(",");
   std::printf(",\n");
