@@ -263,7 +263,9 @@ std::vector<Double4> solve_exactly(const CouplingOperator& system, const std::ve
 }
 
 void run_libraries(const DiscreteProblem& problem, const Limits& limits, std::vector<Row>& rows) {
-  run_eigen<Eigen::IncompleteCholesky<double>>("CG + incomplete Cholesky", problem, limits, rows);
+  // In the unknowns' own order, by place: twice as fast as in Eigen's default one on lattices, the same on tetrahedra.
+  run_eigen<Eigen::IncompleteCholesky<double, Eigen::Lower, Eigen::NaturalOrdering<int>>>("CG + incomplete Cholesky",
+                                                                                          problem, limits, rows);
   run_eigen<Eigen::DiagonalPreconditioner<double>>("CG + Jacobi", problem, limits, rows);
   run_hypre(problem, limits, rows);
   run_cholmod(problem, limits, rows);
