@@ -9,6 +9,7 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/polycube/polygrid_hierarchy.h"
+#include "solvers/diffusion/composite_grid.h"
 
 namespace shellgrid {
 namespace {
@@ -307,14 +308,11 @@ void check_hierarchy_order(const std::vector<Vec3i>& lattice) {
       throw InputError("polygrid: its hierarchy's cells are not in lattice order; build the polygrid anew");
 }
 
-}  // namespace
-
-std::vector<RunLevel> build_levels(const Polygrid& polygrid, std::size_t coarsest, FineGrid& fine) {
-  std::vector<PointTransfer> transfers = point_transfers(polygrid);
-  std::vector<RunLevel> levels;
-  levels.reserve(transfers.size() + 1);
-
-  // The finest level's cells in lattice order.
+// The polygrid's own cells and points and those of its coarser levels, which leave `transfers`.
+std::vector<GridLevel> grid_levels(const Polygrid& polygrid, std::vector<PointTransfer>& transfers,
+                                   std::vector<std::int32_t>& core_cell) {
+  std::vector<GridLevel> levels(transfers.size() + 1);
+  GridLevel& finest = levels[0];
   std::vector<std::pair<std::uint64_t, std::int32_t>> order;  // key, number among core cells
   std::vector<std::int32_t> core;
   for (Eigen::Index c = 0; c < polygrid.cells.rows(); ++c)
@@ -324,85 +322,201 @@ std::vector<RunLevel> build_levels(const Polygrid& polygrid, std::size_t coarses
     }
   if (core.empty()) throw InputError("polygrid: it has no core cells");
   std::sort(order.begin(), order.end());
-  std::vector<Vec3i> cell_lattice;
-  std::vector<std::int32_t> corners, parent;
   for (const auto& [key, number] : order) {
     const std::int32_t cell = core[number];
-    fine.cell.push_back(cell);
-    cell_lattice.push_back(polygrid.cell_lattice.row(cell).transpose());
-    for (int k = 0; k < 8; ++k) corners.push_back(polygrid.cells(cell, vtk_corner[k]));
-    if (!transfers.empty()) parent.push_back(transfers[0].cell_parent[number]);
+    core_cell.push_back(cell);
+    finest.cell_lattice.push_back(polygrid.cell_lattice.row(cell).transpose());
+    for (int k = 0; k < 8; ++k) finest.corners.push_back(polygrid.cells(cell, vtk_corner[k]));
+    if (!transfers.empty()) finest.parent.push_back(transfers[0].cell_parent[number]);
   }
-  std::vector<Vec3i> lattice(polygrid.points.rows());
-  for (std::size_t p = 0; p < lattice.size(); ++p) lattice[p] = polygrid.point_lattice.row(p).transpose();
-  std::vector<char> inner(lattice.size()), point_outer(lattice.size(), 0);
-  for (std::size_t p = 0; p < lattice.size(); ++p) {
-    inner[p] = polygrid.outer_twin[p] < 0;
+  finest.lattice.resize(polygrid.points.rows());
+  for (std::size_t p = 0; p < finest.lattice.size(); ++p) finest.lattice[p] = polygrid.point_lattice.row(p).transpose();
+  std::vector<char> inner(finest.lattice.size()), in_core(finest.lattice.size(), 0);
+  finest.at_surface.assign(finest.lattice.size(), 0);
+  for (std::size_t p = 0; p < inner.size(); ++p) {
+    const std::int32_t twin = polygrid.outer_twin[p];
+    inner[p] = twin < 0;
     if (inner[p]) continue;
-    if (polygrid.outer_twin[polygrid.outer_twin[p]] >= 0 || point_outer[polygrid.outer_twin[p]])
+    if (polygrid.outer_twin[twin] >= 0 || finest.at_surface[twin])
       throw InputError("polygrid: an outer point's twin is outer itself, or has two outer points");
-    point_outer[polygrid.outer_twin[p]] = 1;
+    finest.at_surface[twin] = 1;
   }
-  std::vector<char> in_core(lattice.size(), 0);
-  for (std::int32_t p : corners) {
+  for (std::int32_t p : finest.corners) {
     if (!inner[p]) throw InputError("polygrid: an outer point belongs to a core cell");
     in_core[p] = 1;
   }
-  for (std::size_t p = 0; p < lattice.size(); ++p)
+  for (std::size_t p = 0; p < inner.size(); ++p)
     if (inner[p] && !in_core[p])
       throw InputError("polygrid: a point belongs to no core cell, or an outer point's twin is outer itself");
 
+  for (std::size_t l = 0; l < transfers.size(); ++l) {
+    PointTransfer& next = transfers[l];
+    GridLevel& coarse = levels[l + 1];
+    coarse.lattice = std::move(next.coarse_lattice);
+    coarse.corners = std::move(next.coarse_corners);
+    coarse.cell_lattice = std::move(next.coarse_cell_lattice);
+    if (l + 1 < transfers.size()) coarse.parent = transfers[l + 1].cell_parent;
+    check_hierarchy_order(coarse.cell_lattice);
+    coarse.at_surface.assign(coarse.lattice.size(), 0);
+    for (std::size_t p = 0; p < levels[l].lattice.size(); ++p)
+      if (levels[l].at_surface[p])
+        for (std::int64_t k = next.start[p]; k < next.start[p + 1]; ++k) coarse.at_surface[next.parent[k]] = 1;
+  }
+  return levels;
+}
+
+// The leaves of one level as a level of their own, and the deep cells that say what they are made of.
+DeepPart lay_out_deep(const GridLevel& grid, const CompositeLevel& composite, const RunLevel& level,
+                      const std::vector<std::int32_t>& kept_number, const std::vector<std::int32_t>& finer_number,
+                      std::vector<std::int32_t>& deep_number) {
+  DeepPart deep;
+  deep_number.assign(grid.cells(), -1);
+  std::vector<std::int32_t> corners;
+  std::vector<Vec3i> cell_lattice;
+  std::vector<char> takes_part(grid.lattice.size(), 0);
+  for (std::size_t c = 0; c < grid.cells(); ++c) {
+    if (composite.deep.empty() || !composite.deep[c]) continue;
+    deep_number[c] = static_cast<std::int32_t>(deep.child.size());
+    deep.child.push_back(composite.child[c]);
+    for (std::int32_t& child : deep.child.back()) child = finer_number[child];
+    if (composite.covered[c]) continue;
+    deep.deep_cell.push_back(deep_number[c]);
+    deep.level_cell.push_back(kept_number[c]);
+    cell_lattice.push_back(grid.cell_lattice[c]);
+    for (int k = 0; k < 8; ++k) {
+      corners.push_back(grid.corners[8 * c + k]);
+      takes_part[corners.back()] = 1;
+    }
+  }
+  if (deep.empty()) return deep;
+  RunLevel& part = deep.part;
+  part.layout = lay_out_runs(grid.lattice, takes_part, corners);
+  for (std::int32_t p : corners) part.cells.corners.push_back(part.layout.unknown_of[p]);
+  part.cells.octant.resize(cell_lattice.size());
+  part.surface.start.assign(1, 0);
+  part.surface.first_of_run.assign(part.layout.runs.size() + 1, 0);
+  finish_cells(part, cell_lattice);
+  deep.position = ChannelPlanes<float>(part.layout.size());
+  for (std::size_t u = 0; u < part.layout.size(); ++u) {
+    const std::int32_t point = part.layout.point_of[u];
+    deep.unknown.push_back(level.layout.unknown_of[point]);
+    for (int axis = 0; axis < 3; ++axis) deep.position[axis][u] = composite.position[point][axis];
+  }
+  for (LevelVector<float>* vector : {&part.x, &part.before, &part.right_side, &part.reaction})
+    *vector = LevelVector<float>(part.layout.size(), 0);
+  return deep;
+}
+
+// The points in covered cells that no leaf has; on the finest level all points there that are no unknowns.
+InterpolatedPoints find_interpolated(const GridLevel& grid, const CompositeLevel& composite, const RunLevel& level,
+                                     const DeepPart* deep, const PointTransfer& transfer,
+                                     std::vector<std::pair<std::int32_t, std::int32_t>>& coincident) {
+  InterpolatedPoints result;
+  result.start.push_back(0);
+  std::vector<char> covered(grid.lattice.size(), 0);
+  for (std::size_t c = 0; c < grid.cells(); ++c)
+    if (composite.covered[c])
+      for (int k = 0; k < 8; ++k) covered[grid.corners[8 * c + k]] = 1;
+  for (std::size_t p = 0; p < covered.size(); ++p) {
+    if (!covered[p]) continue;
+    if (transfer.start[p + 1] - transfer.start[p] == 1)
+      coincident.emplace_back(static_cast<std::int32_t>(p), transfer.parent[transfer.start[p]]);
+    if (deep ? !deep->empty() && deep->part.layout.unknown_of[p] >= 0 : level.layout.unknown_of[p] >= 0) continue;
+    result.point.push_back(static_cast<std::int32_t>(p));
+    result.parent.insert(result.parent.end(), transfer.parent.begin() + transfer.start[p],
+                         transfer.parent.begin() + transfer.start[p + 1]);
+    result.start.push_back(static_cast<std::int64_t>(result.parent.size()));
+  }
+  return result;
+}
+
+}  // namespace
+
+LevelHierarchy build_levels(const Polygrid& polygrid, std::size_t coarsest, double depth) {
+  std::vector<PointTransfer> transfers = point_transfers(polygrid);
+  LevelHierarchy result;
+  FineGrid& fine = result.fine;
+  std::vector<RunLevel>& levels = result.levels;
+  levels.reserve(transfers.size() + 1);
+  std::vector<std::int32_t> core_cell;
+  const std::vector<GridLevel> grids = grid_levels(polygrid, transfers, core_cell);
+  fine.origin = 0.5 * (polygrid.points.colwise().minCoeff() + polygrid.points.colwise().maxCoeff()).transpose();
+  std::vector<Eigen::Vector3f> position(polygrid.points.rows());
+  for (std::size_t p = 0; p < position.size(); ++p)
+    position[p] = (polygrid.points.row(static_cast<Eigen::Index>(p)).transpose() - fine.origin).cast<float>();
+  const std::vector<CompositeLevel> composite =
+      choose_deep_cells(grids, transfers, std::move(position), depth, coarsest);
+
+  std::vector<std::int32_t> deep_number = core_cell, finer_number;
+  std::vector<std::vector<std::int32_t>> kept_number(grids.size());
+  for (std::size_t l = 0; l < grids.size(); ++l) {
+    kept_number[l].assign(grids[l].cells(), -1);
+    std::int32_t next = 0;
+    for (std::size_t c = 0; c < grids[l].cells(); ++c)
+      if (!composite[l].covered[c]) kept_number[l][c] = next++;
+  }
   for (std::size_t l = 0;; ++l) {
+    const GridLevel& grid = grids[l];
     levels.emplace_back();
     RunLevel& level = levels.back();
-    level.layout = lay_out_runs(lattice, inner, corners);
-    std::vector<std::int32_t> outer_of;
-    lay_out_outer(point_outer, level, outer_of);
     LevelCells& cells = level.cells;
+    std::vector<char> takes_part(grid.lattice.size(), 0), near_leaf(grid.lattice.size(), 0);
+    std::vector<std::int32_t> corners;
+    std::vector<Vec3i> cell_lattice;
+    for (std::size_t c = 0; c < grid.cells(); ++c) {
+      const std::int32_t* own = grid.corners.data() + 8 * c;
+      if (composite[l].covered[c]) {
+        for (int k = 0; k < 8; ++k) near_leaf[own[k]] = 1;
+        continue;
+      }
+      for (int k = 0; k < 8; ++k) takes_part[own[k]] = 1;
+      corners.insert(corners.end(), own, own + 8);
+      const Vec3i& at = grid.cell_lattice[c];
+      cell_lattice.push_back(at);
+      if (!grid.parent.empty()) cells.parent.push_back(kept_number[l + 1][grid.parent[c]]);
+      cells.octant.push_back(static_cast<std::uint8_t>((at.x() & 1) | (at.y() & 1) << 1 | (at.z() & 1) << 2));
+      if (l == 0) fine.cell.push_back(core_cell[c]);
+    }
+    level.layout = lay_out_runs(grid.lattice, takes_part, corners);
+    std::vector<std::int32_t> outer_of;
+    lay_out_outer(grid.at_surface, level, outer_of);
     cells.corners.resize(corners.size());
     for (std::size_t k = 0; k < corners.size(); ++k) cells.corners[k] = level.layout.unknown_of[corners[k]];
-    cells.parent = parent;
-    for (const Vec3i& at : cell_lattice)
-      cells.octant.push_back(static_cast<std::uint8_t>((at.x() & 1) | (at.y() & 1) << 1 | (at.z() & 1) << 2));
+    for (std::size_t u = 0; u < level.layout.size(); ++u)
+      if (near_leaf[level.layout.point_of[u]]) level.frozen.push_back(static_cast<std::int32_t>(u));
+    result.deep.emplace_back();
+    result.points.push_back(grid.lattice.size());
     if (l == 0) {
-      std::vector<std::int32_t> twin_unknown(lattice.size(), -1);
+      std::vector<std::int32_t> twin_unknown(grid.lattice.size(), -1);
       fine.outer_point.resize(level.surface.size());
-      for (std::size_t p = 0; p < lattice.size(); ++p)
-        if (!inner[p]) {
+      for (std::size_t p = 0; p < grid.lattice.size(); ++p)
+        if (polygrid.outer_twin[p] >= 0) {
           twin_unknown[p] = level.layout.unknown_of[polygrid.outer_twin[p]];
           fine.outer_point[outer_of[twin_unknown[p]]] = static_cast<std::int32_t>(p);
         }
       find_layer(polygrid, level, cells, cell_lattice, twin_unknown, fine);
       find_cell_runs(level, cells, cell_lattice, fine);
-      fine.origin = 0.5 * (polygrid.points.colwise().minCoeff() + polygrid.points.colwise().maxCoeff()).transpose();
       fine.position = ChannelPlanes<float>(level.layout.size());
       for (std::size_t u = 0; u < level.layout.size(); ++u)
         for (int axis = 0; axis < 3; ++axis)
-          fine.position[axis][u] =
-              static_cast<float>(polygrid.points(level.layout.point_of[u], axis) - fine.origin[axis]);
+          fine.position[axis][u] = composite[0].position[level.layout.point_of[u]][axis];
     } else {
       lift_boundary(levels[l - 1].cells, cells);
       build_transfer(levels[l - 1], level, transfers[l - 1], outer_of);
+      finer_number = std::move(deep_number);
+      result.deep[l] = lay_out_deep(grid, composite[l], level, kept_number[l], finer_number, deep_number);
     }
     connect_surface(level, outer_of);
     finish_cells(level, cell_lattice);
-    if (l == transfers.size() || level.size() <= coarsest) break;
-
-    // The next coarser level.
-    const PointTransfer& next = transfers[l];
-    if (next.coarse_lattice.size() * 10 > lattice.size() * 9) break;
-    std::vector<char> coarse_outer(next.coarse_lattice.size(), 0);
-    for (std::size_t p = 0; p < lattice.size(); ++p)
-      if (point_outer[p])
-        for (std::int64_t k = next.start[p]; k < next.start[p + 1]; ++k) coarse_outer[next.parent[k]] = 1;
-    point_outer = std::move(coarse_outer);
-    lattice = next.coarse_lattice;
-    inner.clear();
-    corners = next.coarse_corners;
-    cell_lattice = next.coarse_cell_lattice;
-    check_hierarchy_order(cell_lattice);
-    parent = l + 1 < transfers.size() ? transfers[l + 1].cell_parent : std::vector<std::int32_t>();
+    result.interpolated.emplace_back();
+    result.coincident.emplace_back();
+    if (l < transfers.size())
+      result.interpolated[l] = find_interpolated(grid, composite[l], level, l > 0 ? &result.deep[l] : nullptr,
+                                                 transfers[l], result.coincident[l]);
+    if (l == transfers.size() || level.size() + result.interpolated[l].point.size() <= coarsest) break;
+    if (grids[l + 1].lattice.size() * 10 > grid.lattice.size() * 9) break;
   }
+  result.skipped = result.interpolated[0].point.size();
   levels.back().cells.parent.clear();
   for (RunLevel& level : levels) {
     level.layout.point_of.shrink_to_fit();
@@ -411,7 +525,7 @@ std::vector<RunLevel> build_levels(const Polygrid& polygrid, std::size_t coarses
     level.halved = ChannelPlanes<float>(static_cast<std::size_t>(level.transfer.half_size));
     level.inverse = ChannelPlanes<UpperHalf>(level.layout.size());
   }
-  return levels;
+  return result;
 }
 
 }  // namespace shellgrid

@@ -31,8 +31,42 @@ struct FineGrid {
   std::vector<std::int32_t> outer_point;  // the polygrid's point of each outer unknown
 };
 
-// Builds levels with all but couplings, until one has no more than `coarsest` unknowns.
+// The cells of one level that stand for their children in a composite grid.
+struct DeepPart {
+  // Of each deep cell of the level its children by octant: the polygrid's cells on level 1, else deep cells of the next
+  // finer level.
+  std::vector<std::array<std::int32_t, 8>> child;
+  std::vector<std::int32_t> deep_cell;   // of each leaf: its number among deep cells
+  std::vector<std::int32_t> level_cell;  // of each leaf: its number among the level's cells
+  std::vector<std::int32_t> unknown;     // of each point of the leaves: the level's unknown
+  ChannelPlanes<float> position;         // of those points, mm from FineGrid::origin
+  RunLevel part;                         // the leaves alone: couplings, and in `x` the solution that lives here
+
+  bool empty() const { return level_cell.empty(); }
+};
+
+// Points of one level that take the mean of points of the next coarser one, because no finer cell is there any more.
+struct InterpolatedPoints {
+  std::vector<std::int32_t> point;   // the polygrid's on the finest level
+  std::vector<std::int64_t> start;   // points + 1
+  std::vector<std::int32_t> parent;  // points of the next coarser level
+};
+
+// The levels of a polygrid, as its own or as a composite grid's.
+struct LevelHierarchy {
+  std::vector<RunLevel> levels;                  // finest first
+  FineGrid fine;
+  std::vector<DeepPart> deep;                    // of each level; none on the finest
+  std::vector<InterpolatedPoints> interpolated;  // of each level
+  std::vector<std::size_t> points;               // of each level, with those that are interpolated
+  // Of each level's covered points those at which the next coarser level has one: both.
+  std::vector<std::vector<std::pair<std::int32_t, std::int32_t>>> coincident;
+  std::size_t skipped = 0;                       // points of the polygrid that are no unknowns
+};
+
+// Builds levels with all but couplings, until one has no more than `coarsest` unknowns. `depth`: see
+// `choose_deep_cells`; 0 for all of the polygrid.
 // Throws: InputError where the polygrid's cells, points and hierarchy do not fit together.
-std::vector<RunLevel> build_levels(const Polygrid& polygrid, std::size_t coarsest, FineGrid& fine);
+LevelHierarchy build_levels(const Polygrid& polygrid, std::size_t coarsest, double depth = 0);
 
 }  // namespace shellgrid

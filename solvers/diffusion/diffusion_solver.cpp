@@ -102,7 +102,7 @@ double contrast(const CellCoefficients& coefficients) {
 DiffusionSolver::DiffusionSolver(const Polygrid& polygrid, const SolverParameters& parameters)
     : parameters_(parameters), polygrid_(polygrid) {
   check_polygrid(polygrid);
-  levels_ = build_levels(polygrid, parameters.coarsest_size, fine_);
+  hierarchy_ = build_levels(polygrid, parameters.coarsest_size, parameters.depth);
   for (const RunLevel& level : levels_) {
     lights_.emplace_back();
     lights_.back().outer.resize(level.surface.size());
@@ -116,7 +116,7 @@ void DiffusionSolver::set_material(const CellCoefficients& coefficients, double 
   AssemblyOptions options;
   options.boundary_factor = boundary_factor_;
   options.keep_single = least_tolerance < parameters_.exact_below;
-  terms_ = assemble_levels(polygrid_, coefficients, options, fine_, levels_);
+  terms_ = assemble_levels(polygrid_, coefficients, options, hierarchy_);
   prepare_coarsest();
   contrast_ = contrast(coefficients);
   has_material_ = true;
@@ -203,9 +203,118 @@ void DiffusionSolver::cycle(std::size_t index, bool inner_light, bool from_zero,
   }
   smooth(index, smoothing.before, inner_light, from_zero);
   restrict_residual(levels_[index], levels_[index + 1], inner_light);
+  add_deep_residual(index + 1, inner_light_);
   cycle(index + 1, true, true, smoothing);
   prolong_vector(levels_[index], levels_[index + 1].x, levels_[index].x, true);
   smooth(index, smoothing.after, inner_light, false);
+}
+
+// What trilinear interpolation within leaves leaves out of the solution, as a share of the exitance: the second
+// differences of the leaves' values along the three axes, an eighth of which a child's point between would differ by,
+// added up as if each layer of leaves were seen at the surface.
+double DiffusionSolver::deep_error() const {
+  Double4 error = {};
+  double share = 1;
+  for (const DeepPart& deep : hierarchy_.deep) {
+    share *= 4;
+    if (deep.empty()) continue;
+    const RunLayout& layout = deep.part.layout;
+    for (int c = 0; c < 3; ++c) {
+      const float* x = deep.part.x.inner[c];
+      error[c] += 0.25 * share * parallel_sum(layout.runs.size(), 0.0, [&](std::size_t r) {
+        const LatticeRun& run = layout.runs[r];
+        double sum = 0;
+        for (std::int32_t p = 0; p < run.length; ++p) {
+          const std::int32_t u = run.start + p;
+          double total = 0;
+          if (p > 0 && p + 1 < run.length) {
+            const double d = (x[u - 1] + x[u + 1]) - 2 * static_cast<double>(x[u]);
+            total += d * d;
+          }
+          for (const std::int8_t line : {0, 2}) {
+            std::int32_t before = -1, after = -1;
+            for (std::int64_t k = layout.link_start[r]; k < layout.link_start[r + 1]; ++k) {
+              const RunLink& link = layout.links[k];
+              if (link.line != line || p < link.begin[1] || p >= link.end[1]) continue;
+              (link.follows ? after : before) = u + link.shift;
+            }
+            if (before < 0 || after < 0) continue;
+            const double d = (x[before] + x[after]) - 2 * static_cast<double>(x[u]);
+            total += d * d;
+          }
+          sum += total / 64;
+        }
+        return sum;
+      });
+    }
+  }
+  const RunLevel& finest = levels_.front();
+  const double reflected = inner_light_ ? 0 : boundary_factor_ * (1 - current_reflectance_);
+  Double4 size = {};
+  for (std::size_t s = 0; s < finest.surface.size(); ++s) {
+    const double area = terms_.area[s];
+    if (!(area > 0)) continue;
+    const Double4 value = to_double(finest.x.outer[s]) - (reflected / area) * to_double(lights_[0].outer[s]);
+    size += value * value;
+  }
+  double worst = 0;
+  for (int c = 0; c < 3; ++c)
+    if (error[c] > 0) worst = std::max(worst, size[c] > 0 ? std::sqrt(error[c] / size[c]) : 1.0);
+  return worst;
+}
+
+// What the leaves of a level leave of their light, to the level's right-hand side.
+void DiffusionSolver::add_deep_residual(std::size_t index, bool inner_light) {
+  DeepPart& deep = hierarchy_.deep[index];
+  if (deep.empty()) return;
+  apply_level(deep.part, deep.part.x, deep.part.before);
+  for (int c = 0; c < 3; ++c) {
+    float* to = levels_[index].right_side.inner[c];
+    const float* light = deep.part.right_side.inner[c];
+    const float* image = deep.part.before.inner[c];
+    parallel_for(
+        deep.unknown.size(), [&](std::size_t u) { to[deep.unknown[u]] += (inner_light ? light[u] : 0.0f) - image[u]; },
+        grain);
+  }
+}
+
+// The part of a level's solution, or of a correction, that leaves hold.
+void DiffusionSolver::keep_deep_solution(std::size_t index, bool add) {
+  DeepPart& deep = hierarchy_.deep[index];
+  if (deep.empty()) return;
+  for (int c = 0; c < 3; ++c) {
+    float* to = deep.part.x.inner[c];
+    const float* from = levels_[index].x.inner[c];
+    parallel_for(
+        deep.unknown.size(),
+        [&](std::size_t u) { to[u] = add ? to[u] + from[deep.unknown[u]] : from[deep.unknown[u]]; }, grain);
+  }
+}
+
+// Sums of what points hand on to those whose mean they take, at the leaves' points of each level.
+std::vector<ChannelPlanes<float>> DiffusionSolver::gather_deep(const std::vector<Double4>& point_values) const {
+  std::vector<ChannelPlanes<float>> result(levels_.size());
+  if (hierarchy_.skipped == 0) return result;
+  std::vector<Double4> values, finer;
+  for (std::size_t l = 0; l < levels_.size(); ++l) {
+    const DeepPart& deep = hierarchy_.deep[l];
+    if (!deep.empty()) {
+      result[l] = ChannelPlanes<float>(deep.unknown.size());
+      for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+        for (int c = 0; c < 3; ++c) result[l][c][u] = static_cast<float>(values[deep.part.layout.point_of[u]][c]);
+    }
+    if (l + 1 == levels_.size()) break;
+    const std::vector<Double4>& own = l == 0 ? point_values : values;
+    std::vector<Double4> next(hierarchy_.points[l + 1], Double4{});
+    const InterpolatedPoints& points = hierarchy_.interpolated[l];
+    for (std::size_t k = 0; k < points.point.size(); ++k) {
+      const double share = 1.0 / static_cast<double>(points.start[k + 1] - points.start[k]);
+      for (std::int64_t e = points.start[k]; e < points.start[k + 1]; ++e)
+        next[points.parent[e]] += share * own[points.point[k]];
+    }
+    values = std::move(next);
+  }
+  return result;
 }
 
 void DiffusionSolver::set_light(const DiffusionLight& light) {
@@ -239,20 +348,33 @@ void DiffusionSolver::set_light(const DiffusionLight& light) {
     for (int c = 0; c < 3; ++c)
       for (std::size_t u = 0; u < inner; ++u)
         lights_[0].inner[c][u] = static_cast<float>(light.source->inner[c][u] * inverse[c]);
+    for (std::size_t l = 0; l < levels_.size(); ++l) {
+      DeepPart& deep = hierarchy_.deep[l];
+      for (int c = 0; c < 3 && !deep.empty(); ++c)
+        for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+          deep.part.right_side.inner[c][u] = static_cast<float>(light.deep_source[l][c][u] * inverse[c]);
+    }
   }
 }
 
 void DiffusionSolver::full_multigrid(bool correct_finest) {
   if (correct_finest) error_left_ = 0.2;
   for (std::size_t l = 0; l + 1 < levels_.size(); ++l)
-    if (inner_light_)
+    if (inner_light_) {
       restrict_vector(levels_[l], lights_[l], levels_[l + 1].layout, lights_[l + 1]);
-    else
+      const DeepPart& deep = hierarchy_.deep[l + 1];
+      for (int c = 0; c < 3 && !deep.empty(); ++c)
+        for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+          lights_[l + 1].inner[c][deep.unknown[u]] += deep.part.right_side.inner[c][u];
+    } else
       restrict_outer_vector(levels_[l], lights_[l].outer, lights_[l + 1].outer);
   for (std::size_t l = levels_.size(); l-- > 0;) {
     RunLevel& level = levels_[l];
     const bool coarsest = l + 1 == levels_.size();
-    if (!coarsest) prolong_vector(level, levels_[l + 1].x, level.x, false);
+    if (!coarsest) {
+      keep_deep_solution(l + 1, false);
+      prolong_vector(level, levels_[l + 1].x, level.x, false);
+    }
     load_light(l, coarsest);
     if (l == 0) first_outer_ = level.x.outer;
     if (l == 0 && !correct_finest && !coarsest) {
@@ -264,11 +386,13 @@ void DiffusionSolver::full_multigrid(bool correct_finest) {
     if (judged) start = level.x.outer;
     cycle(l, inner_light_ || coarsest, coarsest,
           {l == 0 ? parameters_.first_degree : parameters_.smoothing_degree, parameters_.smoothing_degree});
+    for (std::size_t k = l + 1; k < levels_.size(); ++k) keep_deep_solution(k, true);
     if (!judged || coarsest || !correct_finest) continue;
     // A second cycle, at little cost, tells what share of the error a cycle leaves.
     const std::vector<Float4> once = level.x.outer;
     load_light(l, false);
     cycle(l, inner_light_, false, {parameters_.smoothing_degree, parameters_.smoothing_degree});
+    for (std::size_t k = l + 1; k < levels_.size(); ++k) keep_deep_solution(k, true);
     error_left_ = share_left(level, start, once);
   }
 }
@@ -371,6 +495,7 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
          report.cycles < parameters_.most_cycles && std::isfinite(change)) {
     first_outer_ = levels_.front().x.outer;
     cycle(0, inner_light_, false, {parameters_.smoothing_degree, parameters_.smoothing_degree});
+    for (std::size_t k = 1; k < levels_.size(); ++k) keep_deep_solution(k, true);
     ++report.cycles;
     const double last = change;
     change = exitance_change(first_outer_);
@@ -404,6 +529,25 @@ void DiffusionSolver::set_initial(const std::vector<Rgb>& fluence) {
     for (std::size_t s = 0; s < finest.x.outer.size(); ++s)
       finest.x.outer[s][c] = inverse * fluence[fine_.outer_point[s]][c];
   }
+  // A leaf's point takes the value of the polygrid's point at its place.
+  std::vector<Double4> values(fluence.size()), finer;
+  for (std::size_t p = 0; p < fluence.size(); ++p) values[p] = to_double(to_lanes(fluence[p]));
+  for (std::size_t l = 0; l < levels_.size() && hierarchy_.skipped > 0; ++l) {
+    DeepPart& deep = hierarchy_.deep[l];
+    for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+      for (int c = 0; c < 3; ++c) {
+        const double value = values[deep.part.layout.point_of[u]][c];
+        deep.part.x.inner[c][u] = static_cast<float>(greatest[c] > 0 ? value / greatest[c] : 0);
+      }
+    const InterpolatedPoints& points = hierarchy_.interpolated[l];
+    if (points.point.empty()) break;
+    finer = std::move(values);
+    values.assign(hierarchy_.points[l + 1], Double4{});
+    for (std::size_t k = 0; k < hierarchy_.coincident[l].size(); ++k) {
+      const auto& [point, parent] = hierarchy_.coincident[l][k];
+      values[parent] = finer[point];
+    }
+  }
   shift_ = Double4{};
   solution_is_exact_ = light_is_known_ = false;
   has_solution_ = true;
@@ -422,6 +566,13 @@ void DiffusionSolver::start_warm(const DiffusionLight& light) {
     for_entries(previous_, exact_, inner, [](float& to, double& from, int) { to = static_cast<float>(from); });
   else
     std::swap(previous_, finest.x);
+  previous_deep_.resize(levels_.size());
+  for (std::size_t l = 0; l < levels_.size(); ++l) {
+    DeepPart& deep = hierarchy_.deep[l];
+    if (deep.empty()) continue;
+    if (previous_deep_[l].bytes() == 0) previous_deep_[l] = ChannelPlanes<float>(deep.unknown.size());
+    std::swap(previous_deep_[l], deep.part.x.inner);
+  }
   set_light(light);
   const Double4 factor = safe_quotient(old_scale, scale_);
   const std::vector<Float4> own_light = lights_[0].outer;
@@ -438,6 +589,21 @@ void DiffusionSolver::start_warm(const DiffusionLight& light) {
           inner, [&](std::size_t i) { x[i] = f * (x[i] + shift); }, grain);
     }
     for (Float4& x : previous_.outer) x = to_float(factor * (to_double(x) + shift_));
+    for (std::size_t l = 0; l < levels_.size(); ++l) {
+      DeepPart& deep = hierarchy_.deep[l];
+      for (int c = 0; c < 3 && !deep.empty(); ++c)
+        for (std::size_t u = 0; u < deep.unknown.size(); ++u) {
+          float& x = previous_deep_[l][c][u];
+          x = static_cast<float>(factor[c]) * (x + static_cast<float>(shift_[c]));
+          deep.part.x.inner[c][u] = x;
+        }
+      if (deep.empty()) continue;
+      apply_level(deep.part, deep.part.x, deep.part.before);
+      for (int c = 0; c < 3; ++c)
+        for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+          deep.part.right_side.inner[c][u] =
+              (own_inner ? deep.part.right_side.inner[c][u] : 0.0f) - deep.part.before.inner[c][u];
+    }
     apply_level(finest, previous_, finest.before);
     for (std::size_t l = 0; l < levels_.size(); ++l)
       if (lights_[l].inner.bytes() == 0) lights_[l].inner = ChannelPlanes<float>(levels_[l].inner_size());
@@ -465,6 +631,14 @@ void DiffusionSolver::start_warm(const DiffusionLight& light) {
     const float f = by_light ? static_cast<float>(factor[c]) : 1.0f;
     parallel_for(
         inner, [&](std::size_t i) { to[i] += f * from[i]; }, grain);
+  }
+  for (std::size_t l = 0; l < levels_.size(); ++l) {
+    DeepPart& deep = hierarchy_.deep[l];
+    for (int c = 0; c < 3 && !deep.empty(); ++c) {
+      const float f = by_light ? static_cast<float>(factor[c]) : 1.0f;
+      for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+        deep.part.x.inner[c][u] += f * previous_deep_[l][c][u];
+    }
   }
   load_light(0, false);
 }
@@ -624,6 +798,15 @@ void DiffusionSolver::conserve_energy(const DiffusionLight& light) {
                      : sum([&](std::size_t i) { return static_cast<double>(single[i]); });
     reaction[c] += sum([](std::size_t) { return 1.0; });
   }
+  for (const DeepPart& deep : hierarchy_.deep)
+    for (int c = 0; c < 3 && !deep.empty(); ++c) {
+      const float* absorption = deep.part.reaction.inner[c];
+      loss[c] += parallel_sum(deep.unknown.size(), 0.0, [&](std::size_t u) {
+        return static_cast<double>(absorption[u]) * static_cast<double>(deep.part.x.inner[c][u]);
+      });
+      reaction[c] += parallel_sum(deep.unknown.size(), 0.0,
+                                  [&](std::size_t u) { return static_cast<double>(absorption[u]); });
+    }
   const Double4 light_sum = safe_quotient(entering, scale_);
   shift_ = safe_quotient(light_sum - loss, reaction);
 }
@@ -641,6 +824,7 @@ DiffusionLight DiffusionSolver::source_light(const std::vector<Double4>& point_v
   DiffusionLight light;
   light.irradiance.assign(levels_.front().surface.size(), Float4{});
   light.source = to_level(point_values);
+  light.deep_source = gather_deep(point_values);
   for (const Double4& value : point_values) light.source_total += value;
   return light;
 }
@@ -673,6 +857,24 @@ std::vector<Double4> DiffusionSolver::fluence() const {
     value(exact_);
   else
     value(finest.x);
+  if (hierarchy_.skipped == 0) return result;
+  std::vector<Double4> values, coarse;
+  for (std::size_t l = levels_.size(); l-- > 0;) {
+    const DeepPart& deep = hierarchy_.deep[l];
+    const InterpolatedPoints& points = hierarchy_.interpolated[l];
+    coarse = std::move(values);
+    if (l > 0) values.assign(hierarchy_.points[l], Double4{});
+    for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+      for (int c = 0; c < 3; ++c)
+        values[deep.part.layout.point_of[u]][c] =
+            scale_[c] * (static_cast<double>(deep.part.x.inner[c][u]) + shift_[c]);
+    std::vector<Double4>& to = l > 0 ? values : result;
+    for (std::size_t k = 0; k < points.point.size(); ++k) {
+      Double4 sum = {};
+      for (std::int64_t e = points.start[k]; e < points.start[k + 1]; ++e) sum += coarse[points.parent[e]];
+      to[points.point[k]] = sum / static_cast<double>(points.start[k + 1] - points.start[k]);
+    }
+  }
   return result;
 }
 
@@ -711,6 +913,11 @@ EnergyBalance DiffusionSolver::energy(const DiffusionLight& light) const {
                         [&](std::size_t i) { return absorption[i] * ((exact ? exact[i] : single[i]) + shift_[c]); },
                         4096);
   }
+  for (const DeepPart& deep : hierarchy_.deep)
+    for (int c = 0; c < 3 && !deep.empty(); ++c)
+      balance.absorbed[c] += scale_[c] * parallel_sum(deep.unknown.size(), 0.0, [&](std::size_t u) {
+                               return deep.part.reaction.inner[c][u] * (deep.part.x.inner[c][u] + shift_[c]);
+                             });
   balance.relative_defect = safe_quotient(balance.entering - balance.leaving - balance.absorbed, balance.entering);
   for (int c = 0; c < 4; ++c) balance.relative_defect[c] = std::abs(balance.relative_defect[c]);
   return balance;

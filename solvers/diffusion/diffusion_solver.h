@@ -27,6 +27,8 @@ struct SolverParameters {
   double exact_below = 1e-3;        // tolerances below it take couplings in single and iterates in double precision
   double rough_contrast = 50;       // of σ_t' over the object, beyond which conjugate gradients take over at once
   int most_cycles = 4;              // before conjugate gradients take over
+  // Cells that must lie between the surface and a cell of their size that stands for its eight children; 0: none does.
+  double depth = 0;
   int most_iterations = 200;
 };
 
@@ -48,6 +50,7 @@ struct DiffusionLight {
   std::vector<Float4> irradiance;            // of each outer unknown, W mm⁻²; q of D2
   std::optional<LevelVector<float>> source;  // W: ∫ Q h dV, instead of what D2 makes of the irradiance
   Double4 source_total = {};                 // its sum before it was rounded
+  std::vector<ChannelPlanes<float>> deep_source;  // of each level's leaves, as LevelHierarchy::deep
 };
 
 // The solver of one polygrid: its levels once, its couplings for each material, a solution for each light.
@@ -73,6 +76,8 @@ class DiffusionSolver {
   void set_initial(const std::vector<Rgb>& fluence);
 
   std::size_t size() const { return levels_.front().size(); }
+  // Points of the polygrid that are no unknowns, because coarser cells stand for those around them.
+  std::size_t skipped() const { return hierarchy_.skipped; }
   const RunLevel& finest() const { return levels_.front(); }
   const FineGrid& grid() const { return fine_; }
   // Vectors of the finest level from values one a polygrid point, in the solver's order.
@@ -96,6 +101,8 @@ class DiffusionSolver {
   double error_left() const { return error_left_; }
   std::size_t memory_bytes() const;
 
+ public:
+  double deep_error() const;
  private:
   void prepare_coarsest();
   void solve_coarsest();
@@ -104,6 +111,9 @@ class DiffusionSolver {
   void full_multigrid(bool correct_finest);
   void start_warm(const DiffusionLight& light);
   void load_light(std::size_t level, bool whole);
+  void add_deep_residual(std::size_t level, bool inner_light);
+  void keep_deep_solution(std::size_t level, bool add);
+  std::vector<ChannelPlanes<float>> gather_deep(const std::vector<Double4>& point_values) const;
   void set_light(const DiffusionLight& light);
   static double share_left(const RunLevel& level, const std::vector<Float4>& start, const std::vector<Float4>& once);
   double exitance_change(const std::vector<Float4>& before) const;
@@ -112,8 +122,9 @@ class DiffusionSolver {
 
   SolverParameters parameters_;
   const Polygrid& polygrid_;
-  FineGrid fine_;
-  std::vector<RunLevel> levels_;
+  LevelHierarchy hierarchy_;
+  FineGrid& fine_ = hierarchy_.fine;
+  std::vector<RunLevel>& levels_ = hierarchy_.levels;
   SurfaceTerms terms_;
   double boundary_factor_ = 1, current_reflectance_ = 0;
   double contrast_ = 1;
@@ -132,6 +143,7 @@ class DiffusionSolver {
   bool warm_by_light_ = false;
   double last_estimate_ = 0;
   LevelVector<float> previous_;  // where a warm start begins
+  std::vector<ChannelPlanes<float>> previous_deep_;
   Double4 shift_ = {};
 };
 

@@ -200,6 +200,95 @@ void assemble_coarse_core(const CellElements& elements, RunLevel& level, CellEle
   });
 }
 
+// Memory of the last material's, where it fits.
+void clear_couplings(RunLevel& level) {
+  const std::size_t size = static_cast<std::size_t>(coupling_slots) * 3 * level.inner_size();
+  StreamBuffer<float>& values = level.single.values;
+  if (values.size() != size || !values) {
+    values = StreamBuffer<float>(size);
+  } else {
+    parallel_chunks(size, 1 << 18, [&](std::size_t begin, std::size_t end) {
+      std::fill(values.data() + begin, values.data() + end, 0.0f);
+    });
+  }
+  level.single.surface.assign(level.surface.neighbour.size(), {});
+}
+
+// Means over a deep cell's octants.
+struct DeepCoefficients {
+  std::array<Rgb, 8> diffusion, absorption;
+};
+
+// Of each deep cell of a level, from the polygrid's cells or from the finer level's deep cells.
+std::vector<DeepCoefficients> mean_coefficients(const DeepPart& deep, const CellCoefficients& coefficients,
+                                                const std::vector<DeepCoefficients>& finer) {
+  std::vector<DeepCoefficients> result(deep.child.size());
+  parallel_for(
+      result.size(),
+      [&](std::size_t k) {
+        for (int octant = 0; octant < 8; ++octant) {
+          const auto child = static_cast<std::size_t>(deep.child[k][octant]);
+          Rgb diffusion = Rgb::Zero(), absorption = Rgb::Zero();
+          for (int q = 0; q < 8; ++q)
+            if (finer.empty()) {
+              diffusion += 1.0f / (3.0f * coefficients.reduced_extinction[8 * child + q]);
+              absorption += coefficients.absorption[8 * child + q];
+            } else {
+              diffusion += finer[child].diffusion[q];
+              absorption += finer[child].absorption[q];
+            }
+          result[k].diffusion[octant] = 0.125f * diffusion;
+          result[k].absorption[octant] = 0.125f * absorption;
+        }
+      },
+      256);
+  return result;
+}
+
+// The elements of the leaves: into those of the level's cells, into the leaves' own couplings, and what they absorb
+// into both.
+void assemble_deep(const std::vector<DeepCoefficients>& coefficients, DeepPart& deep, RunLevel& level,
+                   CellElements& elements) {
+  RunLevel& part = deep.part;
+  clear_couplings(part);
+  part.extra.assign(part.layout.extras.size(), Float4{});
+  for (int c = 0; c < 3; ++c) std::fill(part.reaction.inner[c], part.reaction.inner[c] + part.inner_size(), 0.0f);
+  for_slabs(part.cells.slab_start, [&](std::int32_t first, std::int32_t last) {
+    CellLanes lanes;
+    ElementLanes element;
+    for (std::int32_t cell = first; cell < last; cell += 16) {
+      const int count = std::min(16, last - cell);
+      for (int i = 0; i < 16; ++i) {
+        const std::int32_t own = cell + std::min(i, count - 1);
+        const DeepCoefficients& means = coefficients[deep.deep_cell[own]];
+        for (int a = 0; a < 8; ++a) {
+          for (int axis = 0; axis < 3; ++axis)
+            lanes.corner[a][axis][i] = deep.position[axis][part.cells.corners[8 * own + a]];
+          for (int c = 0; c < 3; ++c) {
+            lanes.diffusion[c][a][i] = means.diffusion[a][c];
+            lanes.absorption[c][a][i] = means.absorption[a][c];
+          }
+        }
+      }
+      core_elements(lanes, element);
+      for (int i = 0; i < count; ++i) {
+        for (int a = 0; a < 8; ++a) {
+          const std::int32_t unknown = part.cells.corners[8 * (cell + i) + a];
+          for (int c = 0; c < 3; ++c) part.reaction.inner[c][unknown] += element.absorption[c][a][i];
+          for (int b = a + 1; b < 8; ++b) {
+            const int k = pair_number(a, b);
+            add_coupling(part, static_cast<std::size_t>(cell + i), a, b,
+                         Float4{element.coupling[0][k][i], element.coupling[1][k][i], element.coupling[2][k][i], 0});
+          }
+        }
+        for (int k = 0; k < 84; ++k) elements.plane(k)[deep.level_cell[cell + i]] = element.coupling[k / 28][k % 28][i];
+      }
+    }
+  });
+  for (std::size_t u = 0; u < deep.unknown.size(); ++u)
+    for (int c = 0; c < 3; ++c) level.reaction.inner[c][deep.unknown[u]] += part.reaction.inner[c][u];
+}
+
 // Adds a boundary element to the level's rows.
 void add_boundary_element(const BoundaryElement& element, std::size_t place, RunLevel& level) {
   const std::int32_t cell = level.cells.boundary[place];
@@ -266,20 +355,6 @@ void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level,
                             (*coarse)[level.cells.boundary_parent[place]]);
     }
   });
-}
-
-// Memory of the last material's, where it fits.
-void clear_couplings(RunLevel& level) {
-  const std::size_t size = static_cast<std::size_t>(coupling_slots) * 3 * level.inner_size();
-  StreamBuffer<float>& values = level.single.values;
-  if (values.size() != size || !values) {
-    values = StreamBuffer<float>(size);
-  } else {
-    parallel_chunks(size, 1 << 18, [&](std::size_t begin, std::size_t end) {
-      std::fill(values.data() + begin, values.data() + end, 0.0f);
-    });
-  }
-  level.single.surface.assign(level.surface.neighbour.size(), {});
 }
 
 void add_areas(const Polygrid& polygrid, const FineGrid& fine, SurfaceTerms& terms) {
@@ -416,7 +491,9 @@ void store_half(RunLevel& level, const Float4* ratio) {
 }  // namespace
 
 SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& coefficients,
-                             const AssemblyOptions& options, const FineGrid& fine, std::vector<RunLevel>& levels) {
+                             const AssemblyOptions& options, LevelHierarchy& hierarchy) {
+  const FineGrid& fine = hierarchy.fine;
+  std::vector<RunLevel>& levels = hierarchy.levels;
   const auto cells = static_cast<std::size_t>(polygrid.cells.rows());
   if (coefficients.absorption.size() != 8 * cells || coefficients.reduced_extinction.size() != 8 * cells)
     throw InputError("polygrid: the coefficients do not belong to its cells");
@@ -428,10 +505,19 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
   const bool one_copy = proportional_channels(coefficients, ratio);
   CellElements elements;
   std::vector<BoundaryElement> boundary;
+  std::vector<DeepCoefficients> deep_coefficients;
   for (std::size_t l = 0; l < levels.size(); ++l) {
     RunLevel& level = levels[l];
     clear_couplings(level);
     if (l == 0) level.link.assign(level.surface.size(), Float4{});
+    if (l > 0 && !hierarchy.deep[l].child.empty()) {
+      deep_coefficients = mean_coefficients(hierarchy.deep[l], coefficients, deep_coefficients);
+      if (!hierarchy.deep[l].empty()) {
+        assemble_deep(deep_coefficients, hierarchy.deep[l], level, elements);
+        store_half(hierarchy.deep[l].part, one_copy ? &ratio : nullptr);
+        hierarchy.deep[l].part.single = {};
+      }
+    }
     level.extra.assign(level.layout.extras.size(), Float4{});
     CellElements coarse_elements;
     const bool has_coarse = l + 1 < levels.size();

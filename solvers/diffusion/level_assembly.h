@@ -22,9 +22,10 @@ struct SurfaceTerms {
 
 // Fills couplings, reactions and smoothers of all levels. Core cells take 2×2×2 Gauss points, 16 cells at a time; cells
 // of the thin layer take their corners; absorption and surface terms are lumped (PHYSICS D1, D2). A coarse element is
-// the Galerkin product of its children's: so is the coarse operator.
+// the Galerkin product of its children's: so is the coarse operator. A cell that stands for its children takes their
+// coefficients' means at its own Gauss points.
 // Throws: InputError where the coefficients do not belong to the polygrid's cells.
 SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& coefficients,
-                             const AssemblyOptions& options, const FineGrid& fine, std::vector<RunLevel>& levels);
+                             const AssemblyOptions& options, LevelHierarchy& hierarchy);
 
 }  // namespace shellgrid

@@ -431,6 +431,8 @@ void prepare_smoother(RunLevel& level, const LevelCouplings<Store>& couplings) {
 
 void prepare_smoother(RunLevel& level) {
   with_couplings(level, [&](const auto& couplings) { prepare_smoother(level, couplings); });
+  for (const std::int32_t u : level.frozen)
+    for (int c = 0; c < 3; ++c) level.inverse[c][u] = UpperHalf{0};
 }
 
 template <class Real>

@@ -131,6 +131,8 @@ struct RunLevel {
   LevelCells cells;
   SurfaceLayout surface;
   LevelTransfer transfer;  // to the next coarser level; empty on the coarsest
+  // Unknowns that keep the value which coarser levels give them: those on the faces of leaves of a composite grid.
+  std::vector<std::int32_t> frozen;
 
   LevelCouplings<Half> half;
   LevelCouplings<float> single;
