@@ -65,6 +65,10 @@ void record(const DiffusionResult& r, nlohmann::json& results) {
                         {"leaving_unscattered", channels(r.beams->leaving)}};
   results["warm_start"] = r.warm;
   results["unknowns"] = r.solve.unknowns;
+  results["adaptive"] = {{"depth", r.depth},
+                         {"nodes_skipped", r.solve.skipped},
+                         {"estimated_exitance_error", r.solve.deep_error},
+                         {"depths_too_shallow", r.depths_tried}};
   results["multigrid_levels"] = r.solve.level_sizes;
   results["cycles"] = r.solve.cycles;
   results["iterations"] = r.solve.iterations;
@@ -138,6 +142,9 @@ int main(int argc, char** argv) {
   program.option("--initial", initial_path,
                  "fluence.hdf of the same polygrid to start from, where light or material changed a little; "
                  "none: from nothing");
+  bool whole_grid = false;
+  program.flag("--whole-grid", whole_grid,
+               "solve for every node; else deep cells stand for their children where the tolerance allows");
   program.option("--tolerance", tolerance, "", "relative error of the exitance; 0: the scene's", 0, 0.5);
   program.option("--environment-samples", options.environment_samples, "",
                  "parallel lights that stand for an environment", 1, 65536);
@@ -152,6 +159,7 @@ int main(int argc, char** argv) {
     const TriangleMesh surface = read_mesh(surface_path).mesh;
     ShellVolume shell;
     if (!shell_path.empty()) shell = read_shell_volume(shell_path);
+    options.adaptive = !whole_grid;
     options.operator_name = method == "scene" ? scene.method.operator_name : method;
     options.source = source == "scene" ? scene.method.source : source;
     options.tolerance = tolerance > 0 ? tolerance : scene.method.tolerance;

@@ -108,18 +108,16 @@ void cover_nothing(const std::vector<GridLevel>& levels, std::vector<CompositeLe
 
 std::vector<CompositeLevel> choose_deep_cells(const std::vector<GridLevel>& levels,
                                               const std::vector<PointTransfer>& transfers,
-                                              std::vector<Eigen::Vector3f> position, double depth,
-                                              std::size_t coarsest) {
+                                              std::vector<Eigen::Vector3f> position, int depth, std::size_t coarsest) {
   std::vector<CompositeLevel> composite(levels.size());
   cover_nothing(levels, composite);
   composite[0].position = std::move(position);
-  if (!(depth > 0)) return composite;
+  if (depth <= 0) return composite;
   const std::vector<Eigen::Vector3f> own_position = composite[0].position;
 
   std::size_t used = 1;  // levels that hold deep cells, and the finest
   for (std::size_t l = 0; l + 1 < levels.size(); ++l) {
-    if (levels[l + 1].lattice.size() < 2 * coarsest ||
-        levels[l + 1].lattice.size() * 10 > levels[l].lattice.size() * 9)
+    if (levels[l + 1].lattice.size() < 2 * coarsest || levels[l + 1].lattice.size() * 10 > levels[l].lattice.size() * 9)
       break;
     const GridLevel &fine = levels[l], &coarse = levels[l + 1];
     const PointTransfer& transfer = transfers[l];
@@ -129,7 +127,7 @@ std::vector<CompositeLevel> choose_deep_cells(const std::vector<GridLevel>& leve
       if (transfer.start[p + 1] - transfer.start[p] == 1)
         own.position[transfer.parent[transfer.start[p]]] = composite[l].position[p];
     own.child = find_children(fine, coarse.cells());
-    const std::vector<char> is_deep = find_depth(fine, static_cast<int>(std::ceil(2 * depth)));
+    const std::vector<char> is_deep = find_depth(fine, 2 * depth);
     own.deep.assign(coarse.cells(), 0);
     parallel_for(
         coarse.cells(),

@@ -41,7 +41,6 @@ struct CompositeLevel {
 // set by hand.
 std::vector<CompositeLevel> choose_deep_cells(const std::vector<GridLevel>& levels,
                                               const std::vector<PointTransfer>& transfers,
-                                              std::vector<Eigen::Vector3f> position, double depth,
-                                              std::size_t coarsest);
+                                              std::vector<Eigen::Vector3f> position, int depth, std::size_t coarsest);
 
 }  // namespace shellgrid

@@ -396,6 +396,15 @@ DeepPart lay_out_deep(const GridLevel& grid, const CompositeLevel& composite, co
   part.surface.start.assign(1, 0);
   part.surface.first_of_run.assign(part.layout.runs.size() + 1, 0);
   finish_cells(part, cell_lattice);
+  deep.beside.assign(part.layout.size(), {-1, -1, -1, -1});
+  for (std::size_t r = 0; r < part.layout.runs.size(); ++r)
+    for (std::int64_t k = part.layout.link_start[r]; k < part.layout.link_start[r + 1]; ++k) {
+      const RunLink& link = part.layout.links[k];
+      const FollowingLine line = following_lines[link.line];
+      if (std::abs(line.dy) + std::abs(line.dz) != 1) continue;
+      for (std::int32_t u = part.layout.runs[r].start + link.begin[1]; u < part.layout.runs[r].start + link.end[1]; ++u)
+        deep.beside[u][2 * line.dz + link.follows] = u + link.shift;
+    }
   deep.position = ChannelPlanes<float>(part.layout.size());
   for (std::size_t u = 0; u < part.layout.size(); ++u) {
     const std::int32_t point = part.layout.point_of[u];
@@ -432,7 +441,7 @@ InterpolatedPoints find_interpolated(const GridLevel& grid, const CompositeLevel
 
 }  // namespace
 
-LevelHierarchy build_levels(const Polygrid& polygrid, std::size_t coarsest, double depth) {
+LevelHierarchy build_levels(const Polygrid& polygrid, std::size_t coarsest, int depth) {
   std::vector<PointTransfer> transfers = point_transfers(polygrid);
   LevelHierarchy result;
   FineGrid& fine = result.fine;

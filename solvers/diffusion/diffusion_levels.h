@@ -39,8 +39,13 @@ struct DeepPart {
   std::vector<std::int32_t> deep_cell;   // of each leaf: its number among deep cells
   std::vector<std::int32_t> level_cell;  // of each leaf: its number among the level's cells
   std::vector<std::int32_t> unknown;     // of each point of the leaves: the level's unknown
-  ChannelPlanes<float> position;         // of those points, mm from FineGrid::origin
-  RunLevel part;                         // the leaves alone: couplings, and in `x` the solution that lives here
+  // Of each of those points the leaves' points before and after it along y and z; −1 where there is none.
+  std::vector<std::array<std::int32_t, 4>> beside;
+  ChannelPlanes<float> position;  // of those points, mm from FineGrid::origin
+  // Of each leaf D h δ / 4, h its size, δ how far the harmonic mean of D over its children falls below the arithmetic
+  // one: what they conduct as one lies between. Empty where no δ exceeds 1e-4.
+  std::vector<Float4> spread;
+  RunLevel part;  // the leaves alone: couplings, and in `x` the solution that lives here
 
   bool empty() const { return level_cell.empty(); }
 };
@@ -54,19 +59,19 @@ struct InterpolatedPoints {
 
 // The levels of a polygrid, as its own or as a composite grid's.
 struct LevelHierarchy {
-  std::vector<RunLevel> levels;                  // finest first
+  std::vector<RunLevel> levels;  // finest first
   FineGrid fine;
   std::vector<DeepPart> deep;                    // of each level; none on the finest
   std::vector<InterpolatedPoints> interpolated;  // of each level
   std::vector<std::size_t> points;               // of each level, with those that are interpolated
   // Of each level's covered points those at which the next coarser level has one: both.
   std::vector<std::vector<std::pair<std::int32_t, std::int32_t>>> coincident;
-  std::size_t skipped = 0;                       // points of the polygrid that are no unknowns
+  std::size_t skipped = 0;  // points of the polygrid that are no unknowns
 };
 
 // Builds levels with all but couplings, until one has no more than `coarsest` unknowns. `depth`: see
 // `choose_deep_cells`; 0 for all of the polygrid.
 // Throws: InputError where the polygrid's cells, points and hierarchy do not fit together.
-LevelHierarchy build_levels(const Polygrid& polygrid, std::size_t coarsest, double depth = 0);
+LevelHierarchy build_levels(const Polygrid& polygrid, std::size_t coarsest, int depth = 0);
 
 }  // namespace shellgrid

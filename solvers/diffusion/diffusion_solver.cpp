@@ -15,6 +15,9 @@ namespace {
 
 constexpr std::size_t grain = 4096;
 
+// Of the deep cells' estimated error, from balls and real objects with 2 to 1000 cells to the mean free path.
+constexpr double deep_factor = 16;
+
 std::string number_text(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%g", value);
@@ -78,8 +81,9 @@ void for_entries(LevelVector<A>& a, LevelVector<B>& b, std::size_t inner, const 
     }
 }
 
-// Greatest ratio of two σ_t' of one channel.
-double contrast(const CellCoefficients& coefficients) {
+}  // namespace
+
+double extinction_contrast(const CellCoefficients& coefficients) {
   struct Range {
     Rgb least = Rgb::Constant(std::numeric_limits<float>::infinity()), greatest = Rgb::Zero();
     Range operator+(const Range& o) const { return {least.min(o.least), greatest.max(o.greatest)}; }
@@ -96,8 +100,6 @@ double contrast(const CellCoefficients& coefficients) {
                                    1);
   return (range.greatest / range.least).maxCoeff();
 }
-
-}  // namespace
 
 DiffusionSolver::DiffusionSolver(const Polygrid& polygrid, const SolverParameters& parameters)
     : parameters_(parameters), polygrid_(polygrid) {
@@ -118,7 +120,7 @@ void DiffusionSolver::set_material(const CellCoefficients& coefficients, double 
   options.keep_single = least_tolerance < parameters_.exact_below;
   terms_ = assemble_levels(polygrid_, coefficients, options, hierarchy_);
   prepare_coarsest();
-  contrast_ = contrast(coefficients);
+  contrast_ = extinction_contrast(coefficients);
   has_material_ = true;
   light_is_known_ = false;
 }
@@ -209,57 +211,70 @@ void DiffusionSolver::cycle(std::size_t index, bool inner_light, bool from_zero,
   smooth(index, smoothing.after, inner_light, false);
 }
 
-// What trilinear interpolation within leaves leaves out of the solution, as a share of the exitance: the second
-// differences of the leaves' values along the three axes, an eighth of which a child's point between would differ by,
-// added up as if each layer of leaves were seen at the surface.
+// The energy of what trilinear interpolation within leaves leaves out of the solution: an eighth of the second
+// differences of the leaves' values, over the solution's size at the surface. The light that a change at the surface
+// would send there is as smooth, so that the exitance misses about the square of it (Galerkin's orthogonality). And
+// the power that leaves with uneven children conduct too well.
 double DiffusionSolver::deep_error() const {
-  Double4 error = {};
+  Double4 error = {}, excess = {};
   double share = 1;
   for (const DeepPart& deep : hierarchy_.deep) {
-    share *= 4;
-    if (deep.empty()) continue;
-    const RunLayout& layout = deep.part.layout;
-    for (int c = 0; c < 3; ++c) {
-      const float* x = deep.part.x.inner[c];
-      error[c] += 0.25 * share * parallel_sum(layout.runs.size(), 0.0, [&](std::size_t r) {
-        const LatticeRun& run = layout.runs[r];
-        double sum = 0;
-        for (std::int32_t p = 0; p < run.length; ++p) {
-          const std::int32_t u = run.start + p;
-          double total = 0;
-          if (p > 0 && p + 1 < run.length) {
-            const double d = (x[u - 1] + x[u + 1]) - 2 * static_cast<double>(x[u]);
-            total += d * d;
-          }
-          for (const std::int8_t line : {0, 2}) {
-            std::int32_t before = -1, after = -1;
-            for (std::int64_t k = layout.link_start[r]; k < layout.link_start[r + 1]; ++k) {
-              const RunLink& link = layout.links[k];
-              if (link.line != line || p < link.begin[1] || p >= link.end[1]) continue;
-              (link.follows ? after : before) = u + link.shift;
-            }
-            if (before < 0 || after < 0) continue;
-            const double d = (x[before] + x[after]) - 2 * static_cast<double>(x[u]);
-            total += d * d;
-          }
-          sum += total / 64;
-        }
-        return sum;
-      });
+    if (!deep.empty()) {
+      const std::vector<std::int32_t>& run_of = deep.part.layout.run_of;
+      const ChannelPlanes<float>& x = deep.part.x.inner;
+      error += share / 64 *
+               parallel_sum(
+                   deep.unknown.size(), Double4{},
+                   [&](std::size_t u) {
+                     Double4 sum = {};
+                     const auto add = [&](std::size_t before, std::size_t after) {
+                       for (int c = 0; c < 3; ++c) {
+                         const double difference = (x[c][before] + x[c][after]) - 2.0 * x[c][u];
+                         sum[c] += difference * difference;
+                       }
+                     };
+                     const std::array<std::int32_t, 4>& beside = deep.beside[u];
+                     if (u > 0 && u + 1 < run_of.size() && run_of[u - 1] == run_of[u + 1]) add(u - 1, u + 1);
+                     if (beside[0] >= 0 && beside[1] >= 0) add(beside[0], beside[1]);
+                     if (beside[2] >= 0 && beside[3] >= 0) add(beside[2], beside[3]);
+                     return sum;
+                   },
+                   grain);
     }
+    excess += parallel_sum(
+        deep.spread.size(), Double4{},
+        [&](std::size_t leaf) {
+          const std::int32_t* corner = deep.part.cells.corners.data() + 8 * leaf;
+          Float4 sum = {};
+          for (int c = 0; c < 3; ++c) {
+            const float* x = deep.part.x.inner[c];
+            for (int a = 0; a < 8; ++a)
+              for (int axis = 0; axis < 3; ++axis) {
+                if (a >> axis & 1) continue;
+                const float difference = x[corner[a | 1 << axis]] - x[corner[a]];
+                sum[c] += difference * difference;
+              }
+          }
+          return to_double(deep.spread[leaf] * sum);
+        },
+        grain);
+    share *= 4;  // of a layer's points each stands for four times the surface
   }
   const RunLevel& finest = levels_.front();
   const double reflected = inner_light_ ? 0 : boundary_factor_ * (1 - current_reflectance_);
-  Double4 size = {};
+  Double4 size = {}, weighed = {};
   for (std::size_t s = 0; s < finest.surface.size(); ++s) {
     const double area = terms_.area[s];
     if (!(area > 0)) continue;
-    const Double4 value = to_double(finest.x.outer[s]) - (reflected / area) * to_double(lights_[0].outer[s]);
-    size += value * value;
+    const Double4 exitance = to_double(finest.x.outer[s]) - (reflected / area) * to_double(lights_[0].outer[s]);
+    size += exitance * exitance;
+    weighed += area * exitance * exitance;
   }
   double worst = 0;
   for (int c = 0; c < 3; ++c)
-    if (error[c] > 0) worst = std::max(worst, size[c] > 0 ? std::sqrt(error[c] / size[c]) : 1.0);
+    if (error[c] > 0)
+      worst = std::max(
+          worst, size[c] > 0 ? deep_factor * error[c] / size[c] + 2 * boundary_factor_ * excess[c] / weighed[c] : 1.0);
   return worst;
 }
 
@@ -336,6 +351,13 @@ void DiffusionSolver::set_light(const DiffusionLight& light) {
     for (int c = 0; c < 3; ++c)
       for (std::size_t u = 0; u < inner; ++u) {
         const float value = light.source->inner[c][u];
+        if (!std::isfinite(value)) throw NumericalError("diffusion: the light is not finite");
+        size[c] = std::max<double>(size[c], std::abs(value));
+      }
+  for (std::size_t l = 0; l < levels_.size() && inner_light_; ++l)
+    for (int c = 0; c < 3; ++c)
+      for (std::size_t u = 0; u < hierarchy_.deep[l].unknown.size(); ++u) {
+        const float value = light.deep_source[l][c][u];
         if (!std::isfinite(value)) throw NumericalError("diffusion: the light is not finite");
         size[c] = std::max<double>(size[c], std::abs(value));
       }
@@ -454,6 +476,7 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   SolveReport report;
   report.tolerance = tolerance;
   report.unknowns = size();
+  report.skipped = hierarchy_.skipped;
   report.level_sizes = level_sizes();
   const bool start = warm && has_solution_ && levels_.size() > 1;
   if (start)
@@ -486,13 +509,17 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   // Smoothing alone leaves more, and the old solution's error stays.
   if (start && warm_by_light_) report.estimated_error = std::hypot(0.2 * change, last_estimate_);
   if (levels_.size() == 1) report.estimated_error = 1e-6;  // solved directly, in single precision
-  report.error_history.push_back(report.estimated_error);
   solution_is_exact_ = false;
+  report.deep_error = hierarchy_.skipped > 0 ? deep_error() : 0;
+  const bool composite = hierarchy_.skipped > 0;
+  const double goal = tolerance - report.deep_error;
+  report.error_history.push_back(report.estimated_error + report.deep_error);
   // In rough materials a few slow parts of the error hide behind what cycles change.
   const bool rough = contrast_ > parameters_.rough_contrast;
   if (rough) report.estimated_error = std::max(report.estimated_error, 1.01 * tolerance);
-  while (report.estimated_error > tolerance && tolerance >= parameters_.exact_below && !rough &&
-         report.cycles < parameters_.most_cycles && std::isfinite(change)) {
+  while (report.estimated_error > goal && goal >= 0.3 * tolerance && !rough && std::isfinite(change) &&
+         (composite ? report.cycles < parameters_.most_composite_cycles
+                    : tolerance >= parameters_.exact_below && report.cycles < parameters_.most_cycles)) {
     first_outer_ = levels_.front().x.outer;
     cycle(0, inner_light_, false, {parameters_.smoothing_degree, parameters_.smoothing_degree});
     for (std::size_t k = 1; k < levels_.size(); ++k) keep_deep_solution(k, true);
@@ -501,12 +528,13 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
     change = exitance_change(first_outer_);
     const double ratio = start && report.cycles == 2 ? 0.2 : change / last;
     report.estimated_error = change * left_of(ratio, 0.2);
-    report.error_history.push_back(report.estimated_error);
+    report.error_history.push_back(report.estimated_error + report.deep_error);
     if (ratio > 0.5) break;
   }
-  if (!(report.estimated_error <= tolerance)) solve_by_conjugate_gradients(tolerance, report);
+  if (!composite && !(report.estimated_error <= tolerance)) solve_by_conjugate_gradients(tolerance, report);
   conserve_energy(light);
   last_estimate_ = report.estimated_error;
+  report.estimated_error += report.deep_error;
   has_solution_ = light_is_known_ = true;
   return report;
 }
@@ -636,8 +664,7 @@ void DiffusionSolver::start_warm(const DiffusionLight& light) {
     DeepPart& deep = hierarchy_.deep[l];
     for (int c = 0; c < 3 && !deep.empty(); ++c) {
       const float f = by_light ? static_cast<float>(factor[c]) : 1.0f;
-      for (std::size_t u = 0; u < deep.unknown.size(); ++u)
-        deep.part.x.inner[c][u] += f * previous_deep_[l][c][u];
+      for (std::size_t u = 0; u < deep.unknown.size(); ++u) deep.part.x.inner[c][u] += f * previous_deep_[l][c][u];
     }
   }
   load_light(0, false);
@@ -804,8 +831,8 @@ void DiffusionSolver::conserve_energy(const DiffusionLight& light) {
       loss[c] += parallel_sum(deep.unknown.size(), 0.0, [&](std::size_t u) {
         return static_cast<double>(absorption[u]) * static_cast<double>(deep.part.x.inner[c][u]);
       });
-      reaction[c] += parallel_sum(deep.unknown.size(), 0.0,
-                                  [&](std::size_t u) { return static_cast<double>(absorption[u]); });
+      reaction[c] +=
+          parallel_sum(deep.unknown.size(), 0.0, [&](std::size_t u) { return static_cast<double>(absorption[u]); });
     }
   const Double4 light_sum = safe_quotient(entering, scale_);
   shift_ = safe_quotient(light_sum - loss, reaction);

@@ -28,7 +28,8 @@ struct SolverParameters {
   double rough_contrast = 50;       // of σ_t' over the object, beyond which conjugate gradients take over at once
   int most_cycles = 4;              // before conjugate gradients take over
   // Cells that must lie between the surface and a cell of their size that stands for its eight children; 0: none does.
-  double depth = 0;
+  int depth = 0;
+  int most_composite_cycles = 10;
   int most_iterations = 200;
 };
 
@@ -41,15 +42,20 @@ struct SolveReport {
   // before each iteration; and the residual's norm over the right-hand side's, where it is known.
   std::vector<double> error_history, residual_history;
   double estimated_error = 0;
+  double deep_error = 0;    // the part of it that deep cells bring which stand for their children
+  std::size_t skipped = 0;  // points of the polygrid that are no unknowns because of them
   std::size_t unknowns = 0;
   std::vector<std::size_t> level_sizes;
 };
 
+// Greatest ratio of two σ_t' of one channel.
+double extinction_contrast(const CellCoefficients& coefficients);
+
 // What lights the object, at the solver's unknowns.
 struct DiffusionLight {
-  std::vector<Float4> irradiance;            // of each outer unknown, W mm⁻²; q of D2
-  std::optional<LevelVector<float>> source;  // W: ∫ Q h dV, instead of what D2 makes of the irradiance
-  Double4 source_total = {};                 // its sum before it was rounded
+  std::vector<Float4> irradiance;                 // of each outer unknown, W mm⁻²; q of D2
+  std::optional<LevelVector<float>> source;       // W: ∫ Q h dV, instead of what D2 makes of the irradiance
+  Double4 source_total = {};                      // its sum before it was rounded
   std::vector<ChannelPlanes<float>> deep_source;  // of each level's leaves, as LevelHierarchy::deep
 };
 
@@ -67,8 +73,9 @@ class DiffusionSolver {
   // Solves D1, D2 until the estimated relative error of the exitance is below the tolerance. Cold: by full multigrid.
   // `warm`: the last solution, or what `set_initial` gave, plus full multigrid's answer to what has changed in the
   // light (which needs no correction on the finest level), or to the residual. The fluence ends with a constant added
-  // that makes D4 exact. Throws: NumericalError with the history where it does not converge, or meets a number that is
-  // not finite.
+  // that makes D4 exact. On a composite grid (depth > 0) there are cycles only, and where they or the grid do not reach
+  // the tolerance the estimate says so: a deeper one, or the whole polygrid, is wanted then. Throws: NumericalError
+  // with the history where it does not converge, or meets a number that is not finite.
   SolveReport solve(const DiffusionLight& light, double tolerance, bool warm = false);
 
   // A fluence to start from warm, one a point of the polygrid. Throws: InputError where it does not fit or is not
@@ -101,9 +108,8 @@ class DiffusionSolver {
   double error_left() const { return error_left_; }
   std::size_t memory_bytes() const;
 
- public:
-  double deep_error() const;
  private:
+  double deep_error() const;
   void prepare_coarsest();
   void solve_coarsest();
   void smooth(std::size_t level, int degree, bool inner_light, bool from_zero);

@@ -214,9 +214,10 @@ void clear_couplings(RunLevel& level) {
   level.single.surface.assign(level.surface.neighbour.size(), {});
 }
 
-// Means over a deep cell's octants.
+// Means over a deep cell's octants, and what all of its children's 1/D have for a mean.
 struct DeepCoefficients {
   std::array<Rgb, 8> diffusion, absorption;
+  Rgb resistance;
 };
 
 // Of each deep cell of a level, from the polygrid's cells or from the finer level's deep cells.
@@ -226,17 +227,21 @@ std::vector<DeepCoefficients> mean_coefficients(const DeepPart& deep, const Cell
   parallel_for(
       result.size(),
       [&](std::size_t k) {
+        result[k].resistance = Rgb::Zero();
         for (int octant = 0; octant < 8; ++octant) {
           const auto child = static_cast<std::size_t>(deep.child[k][octant]);
           Rgb diffusion = Rgb::Zero(), absorption = Rgb::Zero();
           for (int q = 0; q < 8; ++q)
             if (finer.empty()) {
-              diffusion += 1.0f / (3.0f * coefficients.reduced_extinction[8 * child + q]);
+              const Rgb resistance = 3.0f * coefficients.reduced_extinction[8 * child + q];
+              result[k].resistance += resistance / 64.0f;
+              diffusion += 1.0f / resistance;
               absorption += coefficients.absorption[8 * child + q];
             } else {
               diffusion += finer[child].diffusion[q];
               absorption += finer[child].absorption[q];
             }
+          if (!finer.empty()) result[k].resistance += 0.125f * finer[child].resistance;
           result[k].diffusion[octant] = 0.125f * diffusion;
           result[k].absorption[octant] = 0.125f * absorption;
         }
@@ -285,6 +290,26 @@ void assemble_deep(const std::vector<DeepCoefficients>& coefficients, DeepPart& 
       }
     }
   });
+  deep.spread.assign(deep.deep_cell.size(), Float4{});
+  std::vector<float> largest(deep.deep_cell.size(), 0.0f);
+  parallel_for(
+      deep.spread.size(),
+      [&](std::size_t leaf) {
+        const DeepCoefficients& means = coefficients[deep.deep_cell[leaf]];
+        Rgb diffusion = Rgb::Zero();
+        for (const Rgb& octant : means.diffusion) diffusion += 0.125f * octant;
+        const Rgb share = (1 - 1 / (diffusion * means.resistance)).max(0.0f);
+        float square = 0;
+        for (int axis = 0; axis < 3; ++axis) {
+          const float* x = deep.position[axis];
+          const float diagonal = x[part.cells.corners[8 * leaf + 7]] - x[part.cells.corners[8 * leaf]];
+          square += diagonal * diagonal;
+        }
+        deep.spread[leaf] = to_lanes(Rgb(0.25f * std::sqrt(square / 3) * diffusion * share));
+        largest[leaf] = share.maxCoeff();
+      },
+      1024);
+  if (std::none_of(largest.begin(), largest.end(), [](float share) { return share > 1e-4f; })) deep.spread.clear();
   for (std::size_t u = 0; u < deep.unknown.size(); ++u)
     for (int c = 0; c < 3; ++c) level.reaction.inner[c][deep.unknown[u]] += part.reaction.inner[c][u];
 }

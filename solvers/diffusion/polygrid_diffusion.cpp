@@ -124,20 +124,37 @@ struct PointFields {
   std::vector<Rgb> fluence, exitance;
 };
 
+// The least depth at which deep cells have been seen to keep to a tolerance; 0: at none.
+int first_depth(double tolerance) {
+  return tolerance >= 0.03 ? 1 : tolerance >= 0.003 ? 2 : tolerance >= 0.001 ? 3 : 0;
+}
+
 PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
                            const std::vector<Rgb>& irradiance, const BeamSource* beams, const DiffusionOptions& options,
                            DiffusionResult& result) {
-  DiffusionSolver solver(polygrid);
-  solver.set_material(coefficients, ior, options.tolerance);
+  SolverParameters parameters;
+  parameters.depth = options.adaptive && extinction_contrast(coefficients) <= parameters.rough_contrast
+                         ? first_depth(options.tolerance)
+                         : 0;
+  std::unique_ptr<DiffusionSolver> solver;
   DiffusionLight light;
-  if (beams)
-    light = solver.source_light(beams->source);
-  else
-    light.irradiance = solver.to_outer(irradiance);
-  result.warm = !options.initial.empty();
-  if (result.warm) solver.set_initial(options.initial);
-  result.solve = solver.solve(light, options.tolerance, result.warm);
-  result.energy = solver.energy(light);
+  for (;; parameters.depth = parameters.depth < 3 ? parameters.depth + 1 : 0) {
+    solver.reset();
+    solver = std::make_unique<DiffusionSolver>(polygrid, parameters);
+    solver->set_material(coefficients, ior, options.tolerance);
+    light = {};
+    if (beams)
+      light = solver->source_light(beams->source);
+    else
+      light.irradiance = solver->to_outer(irradiance);
+    result.warm = !options.initial.empty();
+    if (result.warm) solver->set_initial(options.initial);
+    result.solve = solver->solve(light, options.tolerance, result.warm);
+    result.depth = solver->skipped() > 0 ? parameters.depth : 0;
+    if (result.depth == 0 || result.solve.estimated_error <= options.tolerance) break;
+    result.depths_tried.push_back(result.depth);
+  }
+  result.energy = solver->energy(light);
   if (beams) {
     EnergyBalance& energy = result.energy;
     energy.entering = beams->entering;
@@ -146,10 +163,11 @@ PointFields solve_elements(const Polygrid& polygrid, const CellCoefficients& coe
     energy.relative_defect = safe_quotient(energy.entering - energy.leaving - energy.absorbed, energy.entering);
     for (int c = 0; c < 4; ++c) energy.relative_defect[c] = std::abs(energy.relative_defect[c]);
   }
-  const std::vector<Double4> fluence = solver.fluence(), exitance = solver.exitance(light);
+  const std::vector<Double4> fluence = solver->fluence(), exitance = solver->exitance(light);
   PointFields fields{std::vector<Rgb>(fluence.size()), std::vector<Rgb>(fluence.size(), Rgb::Zero())};
   for (std::size_t p = 0; p < fluence.size(); ++p) fields.fluence[p] = to_rgb(fluence[p]);
-  for (std::size_t s = 0; s < exitance.size(); ++s) fields.exitance[solver.grid().outer_point[s]] = to_rgb(exitance[s]);
+  for (std::size_t s = 0; s < exitance.size(); ++s)
+    fields.exitance[solver->grid().outer_point[s]] = to_rgb(exitance[s]);
   return fields;
 }
 

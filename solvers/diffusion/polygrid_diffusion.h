@@ -28,6 +28,7 @@ struct DiffusionOptions {
   double tolerance = 0.005;       // relative error of the exitance
   int environment_samples = 256;  // parallel lights that stand for an environment
   std::vector<Rgb> initial;       // fluence at the polygrid's points to start from; empty: cold
+  bool adaptive = true;           // deep cells may stand for their children where the tolerance allows
   int beam_samples = 64;          // the same where each becomes beams through the object
 };
 
@@ -38,7 +39,9 @@ struct DiffusionResult {
   EnergyBalance energy;             // with the beams'
   std::optional<BeamSource> beams;  // of the source first-collision; without its field
   SolveReport solve;
-  bool warm = false;                                 // started from a given fluence
+  int depth = 0;                  // cells between the surface and cells that stand for their children; 0: none does
+  std::vector<int> depths_tried;  // that the error estimate found too shallow
+  bool warm = false;              // started from a given fluence
   Eigen::Array3d surface_entering, surface_leaving;  // ∫ q and ∫ M over the mesh, W: near the energy's by the grid
   std::int64_t negative_vertices = 0;                // vertices with a negative M in some channel
   double least_exitance = 0;                         // the most negative M of any channel, W mm⁻²; 0: none
