@@ -103,7 +103,11 @@ void judge_solution(const Polygrid& polygrid, const DiffusionOptions& options, c
         "less than no light leaves: the exitance is negative at " + percent(negative) +
         " of the vertices; the grid's cells are wider than the light's reach, or the material is too "
         "dark for diffusion; try more nodes (method.nodes), a smaller object or a higher albedo, or sg-reference");
-  if (negative > 0)
+  // In deep shadow a small error of the whole is more than what leaves there.
+  double size = 0;
+  for (const Rgb& value : result.exitance) size = std::max<double>(size, value.square().maxCoeff());
+  const double error = std::max(options.tolerance, result.solve.estimated_error) * std::sqrt(size);
+  if (result.least_exitance < -error)
     progress.warn("the exitance is negative at " + std::to_string(result.negative_vertices) + " of " +
                   std::to_string(result.exitance.size()) +
                   " vertices (pictures show 0 there): the reduced albedo is below 0.53, or the grid too coarse");
