@@ -6,7 +6,6 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include <filesystem>
 #include "meshing/core/error.h"
 #include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
@@ -228,18 +227,18 @@ TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const
   return object;
 }
 
-void trace_light(const SceneInputs& inputs, bool interreflection, const Campaign& campaign, StageRun& run) {
+void trace_light(const SceneInputs& inputs, const LightTracingOptions& how, const Campaign& campaign, StageRun& run) {
   run.start_timer("read");
   const Scene scene = read_scene(inputs.scene);
   const TriangleMesh mesh = read_mesh(inputs.surface).mesh;
   const TransportObject object = read_object(inputs, scene, mesh, run);
-  LightTracingOptions options;
+  LightTracingOptions options = how;
   options.seed = run.seed();
-  options.interreflection = interreflection;
+  const std::string mode =
+      std::string("light") + (options.interreflection ? "" : " once") + (options.channels_apart ? " apart" : "");
   const LightTracing tracing(object, scene.lights, options);
   run.start_timer("follow");
-  const PathState state = campaign.follow(
-      tracing.kind(), inputs.fingerprint(scene, interreflection ? "light" : "light once", run.seed()), run);
+  const PathState state = campaign.follow(tracing.kind(), inputs.fingerprint(scene, mode, run.seed()), run);
   run.start_timer("write");
   const LightTracingResult result = tracing.result(state);
   AttributedMesh written = exitance_mesh(mesh, result.exitance, result.irradiance);
@@ -290,6 +289,7 @@ int main(int argc, char** argv) {
   Campaign campaign;
   campaign.limits.paths = 0;
   bool once = false;
+  LightTracingOptions tracing;
   program.input("scene.json", inputs.scene,
                 "lights, object.ior, material.core where there is no shell, for pictures camera; none with --tally",
                 true);
@@ -309,6 +309,10 @@ int main(int argc, char** argv) {
                  "file in which the state is kept: where it is there, the run goes on from it, to the same bytes as "
                  "without a break");
   program.flag("--no-interreflection", once, "light that leaves the object or is mirrored does not come back to it");
+  program.flag(
+      "--channels-apart", tracing.channels_apart,
+      "a path each for red, green and blue instead of one with spectral weights: thrice the work; white objects "
+      "return each channel exactly");
   tally_options.declare(program);
   program.example("sg-reference scene.json surface.ply -o reference.ply --target-error 0.01", "exitance, to 1 %");
   program.example(
@@ -321,16 +325,19 @@ int main(int argc, char** argv) {
     if (tallies && !inputs.scene.empty()) throw UsageError("--tally takes no scene");
     if (tallies != (extension == ".json"))
       throw UsageError(tallies ? "--tally writes .json" : "expected an output .ply or .exr, or --tally");
+    if (tracing.channels_apart && extension != ".ply")
+      throw UsageError("--channels-apart: only light paths (.ply) take it");
     if (!tallies && inputs.surface.empty())
       throw UsageError(inputs.scene.empty() ? "missing scene.json surface.ply, or --tally" : "missing surface.ply");
     PathLimits& limits = campaign.limits;
     const bool limited = limits.paths > 0 || limits.seconds > 0 || limits.target_error > 0;
     if (!limited) limits.paths = 1e6;
+    tracing.interreflection = !once;
     if (tallies)
       tally(tally_options, campaign, run);
     else if (extension == ".exr")
       take_picture(inputs, campaign, limited, run);
     else
-      trace_light(inputs, !once, campaign, run);
+      trace_light(inputs, tracing, campaign, run);
   });
 }

@@ -101,15 +101,25 @@ PathKind LightTracing::kind() const {
     if (!(watts > 0)) return;
     path.point = ray.origin;
     path.direction = ray.direction;
-    path.weight = ray.power / watts;
     object_.begin(path);
-    TracingVisitor visitor(object_.mesh(), watts, options_.interreflection, tally);
-    std::visit(
-        [&](const auto& medium) {
-          const TransportBody body = object_.body();
-          BodyWalk<std::decay_t<decltype(medium)>, TracingVisitor>(body, medium, visitor, tally).follow(path);
-        },
-        object_.medium());
+    const auto follow = [&](Double4 weight, double power) {
+      LightPath own = path;
+      own.weight = weight;
+      TracingVisitor visitor(object_.mesh(), power, options_.interreflection, tally);
+      std::visit(
+          [&](const auto& medium) {
+            const TransportBody body = object_.body();
+            BodyWalk<std::decay_t<decltype(medium)>, TracingVisitor>(body, medium, visitor, tally).follow(own);
+          },
+          object_.medium());
+      path.random = own.random;
+    };
+    if (!options_.channels_apart) return follow(ray.power / watts, watts);
+    for (int c = 0; c < 3; ++c) {
+      Double4 alone = {};
+      alone[c] = 1;
+      if (ray.power[c] > 0) follow(alone, ray.power[c]);
+    }
   };
   kind.relative_error = [this](const PathState& state) { return relative_error(state); };
   return kind;

@@ -111,6 +111,47 @@ TEST(ReferenceFurnace, WhiteObjectsOfAnyShapeIndexAndMatter) {
   }
 }
 
+// White, of other extinction and anisotropy in each channel. Paths that carry all three move light between them, in the
+// mean none; paths of their own return each exactly.
+TEST(ReferenceFurnace, WhiteObjectsWhoseChannelsDiffer) {
+  Material core;
+  core.extinction = Rgb(0.5f, 1, 4);
+  core.albedo = Rgb::Ones();
+  core.anisotropy = Rgb(0, 0.4f, 0.8f);
+  const TriangleMesh ball = shapes::sphere(5, 4);
+  const auto voxel = [](const Vec3& p, double) {
+    Material m = white(p);
+    m.extinction *= Rgb(1, 0.3f, 3);
+    m.anisotropy[1] *= -1;
+    return test::ShellVoxel{m};
+  };
+  const ShellVolume shell = test::shell_of([](const Vec3& p) { return p.norm() - 5; }, 5, 0.4, 2, core, voxel);
+  const std::pair<const char*, TransportObject> objects[] = {
+      {"homogeneous ball", TransportObject(ball, core, 1.5)},
+      {"ball with a rough shell", TransportObject(ball, shell, 1.5)}};
+  for (const auto& [name, object] : objects)
+    for (const bool apart : {false, true}) {
+      LightTracingOptions options;
+      options.channels_apart = apart;
+      const LightTracing tracing(object, even_sky(), options);
+      const PathKind kind = tracing.kind();
+      PathState state(kind.scalars, kind.field_size);
+      PathLimits limits;
+      limits.paths = paths(6000);
+      follow_paths(kind, limits, state);
+      const LightTracingResult r = tracing.result(state);
+      for (int c = 0; c < 3; ++c) {
+        const double incoming = r.incoming.channel[c].value;
+        const double off = std::abs(r.leaving.channel[c].value - r.entering.channel[c].value) / incoming;
+        const double error = r.exchange.channel[c].standard_error / incoming;
+        std::printf("%-24s %s, channel %d: |M - q| %.1e of the light, standard error %.1e\n", name,
+                    apart ? "paths apart" : "one path   ", c, off, error);
+        EXPECT_LE(off, apart ? 1e-12 : 4 * error) << name;
+        EXPECT_EQ(error > 1e-9, !apart);
+      }
+    }
+}
+
 // Root mean square error of a lit ball's exitance, against a run of many more paths with another seed.
 TEST(ReferenceConvergence, ErrorsFallWithTheSquareRootOfThePaths) {
   const TriangleMesh ball = shapes::sphere(3, 3);

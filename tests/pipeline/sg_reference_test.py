@@ -111,6 +111,19 @@ class LightTracing(Reference):
             self.assertEqual(self.bytes_of("whole.ply"), self.bytes_of(name + ".ply"))
         self.assertEqual([name for name in os.listdir(self.place.name) if ".partial" in name], [])
 
+    def test_channels_apart_keep_a_white_objects_light_to_themselves(self):
+        programs.write_json(type(self).at("white.json"), programs.scene(
+            material={"core": {"absorption": 0, "scattering": [1, 2, 5]}}))
+        for name, options in (("together", []), ("apart", ["--channels-apart"])):
+            done = self.trace(name, "--paths", "2000", "--state", "white.state" if name == "together" else "apart.state", *options,
+                              scene="white.json")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            energy = programs.record(type(self).at(name + ".ply"))["results"]["energy"]
+            off = max(abs(energy["leaving"][c] / energy["entering"][c] - 1) for c in range(3))
+            (self.assertLess if options else self.assertGreater)(off, 1e-9)
+        self.refused(3, "white.json", "ball.off", "-o", "refused.ply", "--state", "white.state", "--channels-apart",
+                     words="other inputs or options")
+
     def test_stops_at_a_target_error(self):
         done = self.trace("target", "--target-error", "0.2")
         self.assertEqual(done.returncode, 0, done.stderr)
@@ -152,6 +165,7 @@ class LightTracing(Reference):
         self.refused(2, "scene.json", "-o", "refused.ply", words="surface.ply")
         self.refused(2, "-o", "refused.ply", words="scene.json")
         self.refused(2, "scene.json", "ball.off", "-o", "refused.json", words=".ply")
+        self.refused(2, "scene.json", "ball.off", "-o", "refused.exr", "--channels-apart", words="--channels-apart")
         self.refused(2, "scene.json", "ball.off", "-o", "refused.json", "--tally", "slab", words="no scene")
 
 
