@@ -211,6 +211,7 @@ PaperSolution solve_level(const PolygridGraph& graph, const PaperProblem& proble
         const double size = system.light.norm();
         if (size == 0) {
           solution.psi = Eigen::VectorXd::Zero(n);
+          solution.residual = 0;
         } else {
           Eigen::VectorXd psi(n);
           for (Eigen::Index i = 0; i < n; ++i) psi[i] = problem.diffusion[i][c] * start[i][c];

@@ -187,6 +187,22 @@ TEST(PaperOperator, AnEyeOnItsRelaxationSeesEachPass) {
   EXPECT_EQ(solve_paper_operator(cube.grid.graph, cube.problem, cube.grid.hierarchy).iterations, 3);
 }
 
+TEST(PaperOperator, AChannelWithoutLightIsDark) {
+  Polygrid grid = test::cube_grid(6, edge, 0.1);
+  test::add_cube_graph(grid, 6, edge);
+  PaperProblem problem = paper_problem(grid, 0.05, 0.5);
+  for (Rgb& light : problem.boundary_light) light[1] = 0;
+  for (const PaperMethod method : {PaperMethod::bicgstab, PaperMethod::relaxation}) {
+    problem.method = method;
+    const PaperSolution solution = solve_paper_operator(grid.graph, problem);
+    EXPECT_LE(solution.residual, 1.01 * problem.tolerance);
+    for (const Rgb& phi : solution.interior) {
+      ASSERT_GT(phi[0], 0);
+      ASSERT_EQ(phi[1], 0);
+    }
+  }
+}
+
 TEST(PaperOperator, SaysWhenItDoesNotConvergeAndRefusesBrokenGraphs) {
   Polygrid grid = test::cube_grid(6, edge, 0.1);
   test::add_cube_graph(grid, 6, edge);
