@@ -8,10 +8,10 @@ columns = words(sizes) > 3 ? words(sizes) : 3
 set terminal pngcairo size 520 * columns, 1350 font "sans,12"
 set output picture
 set datafile separator ","
-methods = "'shellgrid cold' 'shellgrid warm' 'shellgrid adaptive' 'paper: Jacobi' 'paper: hierarchical' \
+methods = "'shellgrid cold' 'shellgrid warm' 'shellgrid adaptive' 'shellgrid adaptive warm' 'paper: Jacobi' 'paper: hierarchical' \
 'paper: hierarchical adaptive' 'CG + incomplete Cholesky' 'CG + Jacobi' 'hypre BoomerAMG + CG' 'CHOLMOD'"
-colours = "0xc00000 0xff7f0e 0xe377c2 0xa0a0a0 0x707070 0x303030 0x1f77b4 0x17a2b8 0x2ca02c 0x7b3fb5"
-marks = "7 7 7 4 6 8 5 9 13 11"
+colours = "0xc00000 0xff7f0e 0xe377c2 0x9467bd 0xa0a0a0 0x707070 0x303030 0x1f77b4 0x17a2b8 0x2ca02c 0x8c564b"
+marks = "7 7 7 7 4 6 8 5 9 13 11"
 discretisations = "trilinear paper tetrahedra embedded"
 discretisation_colours = "0xc00000 0x707070 0x1f77b4 0x2ca02c"
 width = 1.0 / columns

@@ -248,18 +248,21 @@ void run_cholmod(const DiscreteProblem& problem, const Limits& limits, std::vect
 
 }  // namespace
 
-std::vector<Double4> solve_exactly(const CouplingOperator& system, const std::vector<Double4>& source) {
-  std::vector<Double4> fluence(source.size(), Double4{});
+std::vector<std::vector<Double4>> solve_exactly(const CouplingOperator& system,
+                                                const std::vector<std::vector<Double4>>& sources) {
+  std::vector<std::vector<Double4>> fluences(sources.size(), std::vector<Double4>(system.size(), Double4{}));
   for (int c = 0; c < 3; ++c) {
     const Matrix matrix = channel_matrix(system, c);
-    Eigen::VectorXd right(matrix.rows());
-    for (Eigen::Index i = 0; i < right.size(); ++i) right[i] = source[i][c];
     const std::unique_ptr<LibrarySolver> solver = hypre_solver();
     solver->prepare(matrix);
-    const Eigen::VectorXd x = solver->solve(right, 1e-11, 0);
-    for (Eigen::Index i = 0; i < right.size(); ++i) fluence[i][c] = x[i];
+    for (std::size_t s = 0; s < sources.size(); ++s) {
+      Eigen::VectorXd right(matrix.rows());
+      for (Eigen::Index i = 0; i < right.size(); ++i) right[i] = sources[s][i][c];
+      const Eigen::VectorXd x = solver->solve(right, 1e-9, 0);
+      for (Eigen::Index i = 0; i < right.size(); ++i) fluences[s][i][c] = x[i];
+    }
   }
-  return fluence;
+  return fluences;
 }
 
 void run_libraries(const DiscreteProblem& problem, const Limits& limits, std::vector<Row>& rows) {

@@ -34,8 +34,9 @@ struct Limits {
   double triad = 1e10;  // bytes a processor second
 };
 
-// The exact solution by hypre, to a residual of 1e-11.
-std::vector<Double4> solve_exactly(const CouplingOperator& matrix, const std::vector<Double4>& source);
+// The exact solutions for some right-hand sides by hypre, to a residual of 1e-9.
+std::vector<std::vector<Double4>> solve_exactly(const CouplingOperator& matrix,
+                                                const std::vector<std::vector<Double4>>& sources);
 
 // Appends a row for each method and level: conjugate gradients with incomplete Cholesky and with Jacobi (Eigen),
 // BoomerAMG with conjugate gradients (hypre), CHOLMOD. Each channel stops at the iteration that brings its own error
