@@ -18,6 +18,7 @@
 #include "meshing/formats/vtkhdf_file.h"
 #include "solvers/diffusion/diffusion_solver.h"
 #include "tests/support/polygrid_shapes.h"
+#include "tests/support/veined_marble.h"
 
 using namespace shellgrid;
 
@@ -52,25 +53,6 @@ double report_time(const char* what, int repetitions, const Work& work) {
   return wall;
 }
 
-CellCoefficients veined_marble(const Polygrid& grid) {
-  const auto cells = static_cast<std::size_t>(grid.cells.rows());
-  CellCoefficients c;
-  c.absorption.resize(8 * cells);
-  c.reduced_extinction.resize(8 * cells);
-  const double size = (grid.points.colwise().maxCoeff() - grid.points.colwise().minCoeff()).maxCoeff();
-  for (std::size_t cell = 0; cell < cells; ++cell)
-    for (int q = 0; q < 8; ++q) {
-      const Vec3 x = gauss_point(grid, static_cast<int>(cell), q) * (12 / size);
-      const double wave = std::sin(x.x() + 1.7 * std::sin(x.y()) + x.z()) * std::sin(1.3 * x.y() - 0.7 * x.z());
-      const auto vein = static_cast<float>(std::exp(-20 * wave * wave));
-      const Rgb scattering = Rgb(2.19f, 2.62f, 3.0f) * (1 + vein * Rgb(3.0f, 2.0f, 1.0f));
-      const Rgb absorption = Rgb(0.0021f, 0.0041f, 0.0071f) * (1 + 20 * vein);
-      c.absorption[8 * cell + q] = absorption;
-      c.reduced_extinction[8 * cell + q] = absorption + scattering;
-    }
-  return c;
-}
-
 double exitance_error(const std::vector<double>& area, const std::vector<Double4>& a, const std::vector<Double4>& b) {
   double worst = 0;
   for (int c = 0; c < 3; ++c) {
@@ -95,7 +77,8 @@ int main(int argc, char** argv) {
     grid = read_polygrid(name);
   else
     grid = test::ball_grid(std::atoi(name.c_str()), 40, 0.1);
-  const CellCoefficients coefficients = veined_marble(grid);
+  const double size = (grid.points.colwise().maxCoeff() - grid.points.colwise().minCoeff()).maxCoeff();
+  const CellCoefficients coefficients = test::VeinedMarble{size}.of(grid);
   {
     const std::size_t n = 16 << 20;
     std::vector<float> a(n), b(n, 1.0f), c(n, 2.0f);
