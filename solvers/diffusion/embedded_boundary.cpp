@@ -175,6 +175,10 @@ EmbeddedGrid embed_level_set(const GridFrame& frame, const Vec3i& counts, const 
 
 EmbeddedGrid embed_surface(const TriangleMesh& surface, double spacing) {
   if (!(spacing > 0)) throw InputError("embedded grid: the spacing is not positive");
+  if (surface.vertex_count() > 0 &&
+      (surface.vertices.colwise().maxCoeff() - surface.vertices.colwise().minCoeff()).prod() >
+          1e9 * std::pow(spacing, 3))
+    throw InputError("embedded grid: it would have more than 1e9 cells; give a greater spacing");
   DistanceOptions options;
   options.voxel = spacing;
   options.inside_band = options.outside_band = 2 * spacing;

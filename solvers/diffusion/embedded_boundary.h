@@ -39,7 +39,8 @@ struct EmbeddedGrid {
 // the sizes disagree, a distance is not finite, the object reaches the grid's rim, or nothing lies inside.
 EmbeddedGrid embed_level_set(const GridFrame& frame, const Vec3i& counts, const std::vector<float>& distance);
 
-// The same for a closed surface, on grid points spacing·(i, j, k). Throws: InputError for a surface that is open.
+// The same for a closed surface, on grid points spacing·(i, j, k). Throws: InputError for a surface that is open, or
+// more than 1e9 cells about it.
 EmbeddedGrid embed_surface(const TriangleMesh& surface, double spacing);
 
 // Finite volumes: unknowns are the fluences at the cells' centres, also where these lie outside.

@@ -214,6 +214,7 @@ TEST(EmbeddedBoundary, RefusesWhatIsWrong) {
   EXPECT_THROW(embed_level_set(frame, {3, 3, 3}, std::vector<float>(27, -1.0f)), InputError);
   EXPECT_THROW(embed_level_set(frame, {3, 3, 3}, std::vector<float>(27, std::nanf(""))), InputError);
   EXPECT_THROW(embed_surface(shapes::sphere(1.0, 1), 0), InputError);
+  EXPECT_THROW(embed_surface(shapes::sphere(1.0, 1), 1e-4), InputError);
   EXPECT_THROW(embed_surface(shapes::moved(shapes::sphere(1.0, 1), {3, 3, 3}), 10), InputError);
 }
 
