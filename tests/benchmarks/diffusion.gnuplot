@@ -18,11 +18,11 @@ width = 1.0 / columns
 at(row, column) = sprintf("set origin %g, %g; set size %g, 0.3333", column * width, 1 - (row + 1) / 3.0, width)
 of_method(size, m) = sprintf("< awk -F, '$1 == \"%s\" && $2 == \"%s\" && ($3 == \"trilinear\" || $3 == \"paper\") && $NF == \"\"' '%s'", size, word(methods, m), csv)
 # Unknowns, core seconds of the fastest solve, error in the given column.
-of_grid(d, column) = sprintf("< awk -F, '$3 == \"%s\" && $18 > 0 && $5 == 0.005 {t = $9; if (!($4 in best) || t < best[$4]) best[$4] = t; e[$4] = $%d} END {for (n in best) print n \",\" best[n] \",\" e[n]}' '%s' | sort -g", d, column, csv)
+of_grid(d, column) = sprintf("< awk -F, '$3 == \"%s\" && $2 !~ /adaptive|warm/ && $18 > 0 && $5 == 0.005 {t = $9; if (!($4 in best) || t < best[$4]) best[$4] = t; e[$4] = $%d} END {for (n in best) print n \",\" best[n] \",\" e[n]}' '%s' | sort -g", d, column, csv)
 
 set multiplot
 set logscale xy
-set grid lc rgb "#dddddd"
+set grid back linetype 1 linecolor rgb "#dddddd"
 unset key
 set lmargin 9
 set format x "10^{%L}"
@@ -60,7 +60,8 @@ unset xlabel
 unset ylabel
 set xrange [0:1]
 set yrange [0:1]
-set key center center spacing 1.5
+set key center center spacing 1.2 maxrows 20
+set margins 1, 1, 0, 0
 eval at(2, 2)
 plot for [m = 1:words(methods)] NaN with linespoints lw 2 lc rgb int(word(colours, m)) pt int(word(marks, m)) ps 1.2 title word(methods, m), \
   for [k = 1:words(discretisations)] NaN with lines lw 4 lc rgb int(word(discretisation_colours, k)) title "below: ".word(discretisations, k)
