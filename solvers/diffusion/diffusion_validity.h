@@ -22,8 +22,8 @@ DiffusionRegime diffusion_regime(const Polygrid& polygrid, const CellCoefficient
 
 // Relative error of the exitance (L2 over the surface) that diffusion on a fine grid is expected to have: interpolated
 // in the logarithms of thickness, 1 − albedo and error between the worst of sphere, plate and bunny under parallel
-// light from the side, index 1.5, as tests/accuracy/diffusion_map.py measured them. Beyond the map's ends it is that of
-// the end. `first_collision`: of that source, else of boundary.
+// light from the side, index 1.5, creases left out, as tests/accuracy/diffusion_map.py measured them. Beyond the map's
+// ends it is that of the end. `first_collision`: of that source, else of boundary.
 Rgb expected_diffusion_error(const DiffusionRegime& regime, bool first_collision);
 
 // Errors that are expected to exceed this are warned of.

@@ -253,7 +253,7 @@ def draw(rows, table, picture):
                     continue
                 place = "%d %d" % (thicknesses.index(row["thickness"]), albedos.index(row["albedo"]))
                 if "error" in row:
-                    lines.append('%s %g "%.2g" "(%.1g)"' % (place, math.log10(min(max(row["smooth"], 1e-4), 1)),
+                    lines.append('%s %g "%.2g" "(%.2g)"' % (place, math.log10(min(max(row["smooth"], 1e-4), 1)),
                                                            100 * row["smooth"], 100 * row["discretisation"]))
                 else:
                     lines.append('%s 0.1 "refused" ""' % place)

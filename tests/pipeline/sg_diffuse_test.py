@@ -148,7 +148,7 @@ class Diffuse(unittest.TestCase):
         # A ball of 20 mm has a mean chord of 13.3 mm.
         for material, source, low, high, warns in [
                 ({"absorption": 0.003, "scattering": 3}, "boundary", 0.02, 0.08, False),
-                ({"absorption": 0.003, "scattering": 3}, "first-collision", 0.002, 0.03, False),
+                ({"absorption": 0.003, "scattering": 3}, "first-collision", 0.002, 0.06, False),
                 ({"absorption": 0.0002, "scattering": 0.2}, "boundary", 0.2, 0.5, True),
                 ({"absorption": 0.5, "scattering": 1.5}, "first-collision", 0.1, 0.25, True)]:
             done = self.diffuse("judged", "--source", source, scene=self.variant("judged.json", material={"core": material}))
