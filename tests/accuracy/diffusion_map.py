@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """Where diffusion may be used: the exitance of sg-diffuse held against sg-reference.
 
-    diffusion_map.py -o OUT [--bunny MESH]      writes OUT/map.csv, OUT/map.md and OUT/map.png; executables in SG_BIN, or build/bin
+    diffusion_map.py -o OUT [--bunny MESH]      writes map.csv, map.md and map.png; executables in SG_BIN, or build/bin
 
 A sphere, a plate lit on its face and its edge, and a bunny, under parallel light from the side, by reduced albedo, by the
 object's optical thickness (its mean chord 4 V / A in reduced mean free paths) and for both sources. The material scatters
-isotropically (so that its coefficients are the reduced ones) at index 1.5; light that leaves does not come back. For each:
+isotropically (so that its coefficients are the reduced ones; --anisotropy 0.8: others of the same reduced ones) at index 1.5;
+light that leaves does not come back. For each:
 
   error           relative root mean square of the difference of exitances, weighted by area, less the reference's noise
   smooth          the same without the vertices on creases (45° and more) and next to them, which are means over two faces
@@ -49,8 +50,8 @@ SIZE = 10.0  # mm, of the longest edge
 IOR = 1.5
 # From the side, on which the plate shows a broad face and two edges.
 LIGHT = [-0.8, -0.25, -0.55]
-COLUMNS = ["shape", "thickness", "albedo", "source", "error", "smooth", "uncertainty", "discretisation", "bias", "noise", "expected",
-           "unscattered", "negative", "cells_per_reach", "longest_edge", "paths"]
+COLUMNS = ["shape", "thickness", "albedo", "source", "error", "smooth", "uncertainty", "discretisation", "bias", "noise",
+           "expected", "unscattered", "negative", "cells_per_reach", "longest_edge", "paths"]
 
 
 class Failed(Exception):
@@ -64,12 +65,13 @@ def stage(name, *arguments, cwd, accepted=(0,)):
     return done.returncode
 
 
-def scene_of(albedos, extinction):
-    """Three channels of one extinction; a single albedo is that of all."""
+def scene_of(albedos, extinction, anisotropy):
+    """Three channels of one reduced extinction; a single albedo is that of all."""
     three = albedos if len(albedos) == 3 else 3 * list(albedos)
     return {"object": {"ior": IOR},
             "material": {"core": {"absorption": [extinction * (1 - a) for a in three],
-                                  "scattering": [extinction * a for a in three]}},
+                                  "scattering": [extinction * a / (1 - anisotropy) for a in three],
+                                  "anisotropy": anisotropy}},
             "lights": [{"type": "directional", "direction": LIGHT, "irradiance": 1}]}
 
 
@@ -91,8 +93,8 @@ def read_ply(path):
 class Shape:
     """A mesh of a shape with its polygrids."""
 
-    def __init__(self, name, folder, bunny=None):
-        self.name, self.folder = name, os.path.join(folder, name)
+    def __init__(self, name, folder, bunny=None, anisotropy=0):
+        self.name, self.folder, self.anisotropy = name, os.path.join(folder, name), anisotropy
         os.makedirs(self.folder)
         if name == "bunny":
             mesh = os.path.abspath(bunny)
@@ -142,7 +144,7 @@ class Shape:
     def compare(self, thickness, albedos, say):
         """Rows of the table: for each source and albedo."""
         extinction = thickness / self.chord
-        scene = scene_of(albedos, extinction)
+        scene = scene_of(albedos, extinction, self.anisotropy)
         programs.write_json(os.path.join(self.folder, "scene.json"), scene)
         at = lambda name: os.path.join(self.folder, name)
         stage("reference", "scene.json", "surface.ply", "-o", "reference.ply", "--paths", "%g" % PATHS, "--no-interreflection",
@@ -178,13 +180,14 @@ class Shape:
     def solve(self, nodes, scene, albedos, extinction, source):
         """Of each albedo the exitance on a grid, and what the record knows; None: refused."""
         exitance, fluence = os.path.join(self.folder, "exitance.ply"), os.path.join(self.folder, "fluence.hdf")
-        diffuse = ["scene.json", "polygrid%g.hdf" % nodes, "surface.ply", "-o", fluence, "--exitance", exitance, "--source", source,
-                   "--tolerance", "1e-3"]
+        diffuse = ["scene.json", "polygrid%g.hdf" % nodes, "surface.ply", "-o", fluence, "--exitance", exitance, "--source",
+                   source, "--tolerance", "1e-3"]
         programs.write_json(os.path.join(self.folder, "scene.json"), scene)
         code = stage("diffuse", *diffuse, cwd=self.folder, accepted=(0, 4))
         if code == 4 and len(albedos) > 1:
             # One channel that is refused must not take the others with it.
-            return [self.solve(nodes, scene_of([albedo], extinction), [albedo], extinction, source)[0] for albedo in albedos]
+            grey = lambda albedo: scene_of([albedo], extinction, self.anisotropy)
+            return [self.solve(nodes, grey(albedo), [albedo], extinction, source)[0] for albedo in albedos]
         if code == 4:
             return [None]
         vertices, results = read_ply(exitance)[0], programs.record(fluence)["results"]
@@ -235,8 +238,8 @@ def draw(rows, table, picture):
     thicknesses = sorted({row["thickness"] for row in rows})
     albedos = sorted({row["albedo"] for row in rows})
     commands = ["set terminal pngcairo size %d,800 font ',11'" % max(460 * len(shapes), 860), "set output '%s'" % picture,
-                "set multiplot layout %d,%d title 'Error of the exitance of sg-diffuse against sg-reference off creases, percent; in brackets "
-                "the share of the grid'" % (len(SOURCES), len(shapes)),
+                "set multiplot layout %d,%d title 'Error of the exitance of sg-diffuse against sg-reference off creases, "
+                "percent; in brackets the share of the grid'" % (len(SOURCES), len(shapes)),
                 "set palette defined (0 '#1a9850', 0.35 '#a6d96a', 0.55 '#ffffbf', 0.75 '#fdae61', 1 '#d73027')",
                 "set cbrange [-2.3:0]", "unset colorbox", "unset key",
                 "set xrange [-.5:%g]" % (len(thicknesses) - .5), "set yrange [-.5:%g]" % (len(albedos) - .5),
@@ -285,6 +288,7 @@ def main():
     parser.add_argument("--bunny", help="its mesh; the map is without it where not given")
     parser.add_argument("--shapes", nargs="+", choices=["sphere", "plate", "bunny"],
                         default=["sphere", "plate", "bunny"] if LONG else ["sphere"])
+    parser.add_argument("--anisotropy", type=float, default=0, help="mean cosine of the phase function")
     options = parser.parse_args()
     os.makedirs(options.output, exist_ok=True)
     at = lambda name: os.path.join(options.output, name)
@@ -295,7 +299,7 @@ def main():
             for name in options.shapes:
                 if name == "bunny" and not options.bunny:
                     continue
-                shape = Shape(name, folder, options.bunny)
+                shape = Shape(name, folder, options.bunny, options.anisotropy)
                 for thickness in THICKNESSES:
                     for albedos in ALBEDOS:
                         rows += shape.compare(thickness, albedos, say)
