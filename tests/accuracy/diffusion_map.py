@@ -6,8 +6,8 @@
 
 A sphere, a plate lit on its face and its edge, and a bunny, under parallel light from the side, by reduced albedo, by the
 object's optical thickness (its mean chord 4 V / A in reduced mean free paths) and for both sources. The material scatters
-isotropically (so that its coefficients are the reduced ones; --anisotropy 0.8: others of the same reduced ones) at index 1.5;
-light that leaves does not come back. For each:
+isotropically (so that its coefficients are the reduced ones; --anisotropy 0.8: others of the same reduced ones) at index 1.5
+(--ior); light that leaves does not come back. For each:
 
   error           relative root mean square of the difference of exitances, weighted by area, less the reference's noise
   smooth          the same without the vertices on creases (45° and more) and next to them, which are means over two faces
@@ -47,7 +47,6 @@ NODES = {1: (2.5e4, 2e5), 30: (1e5, 8e5)} if LONG else {1: (2e3, 1.6e4)}
 VERTICES = 2500 if LONG else 600
 PATHS = 2e6 if LONG else 6e4
 SIZE = 10.0  # mm, of the longest edge
-IOR = 1.5
 # From the side, on which the plate shows a broad face and two edges.
 LIGHT = [-0.8, -0.25, -0.55]
 COLUMNS = ["shape", "thickness", "albedo", "source", "error", "smooth", "uncertainty", "discretisation", "bias", "noise",
@@ -65,10 +64,10 @@ def stage(name, *arguments, cwd, accepted=(0,)):
     return done.returncode
 
 
-def scene_of(albedos, extinction, anisotropy):
+def scene_of(albedos, extinction, anisotropy, ior):
     """Three channels of one reduced extinction; a single albedo is that of all."""
     three = albedos if len(albedos) == 3 else 3 * list(albedos)
-    return {"object": {"ior": IOR},
+    return {"object": {"ior": ior},
             "material": {"core": {"absorption": [extinction * (1 - a) for a in three],
                                   "scattering": [extinction * a / (1 - anisotropy) for a in three],
                                   "anisotropy": anisotropy}},
@@ -93,8 +92,8 @@ def read_ply(path):
 class Shape:
     """A mesh of a shape with its polygrids."""
 
-    def __init__(self, name, folder, bunny=None, anisotropy=0):
-        self.name, self.folder, self.anisotropy = name, os.path.join(folder, name), anisotropy
+    def __init__(self, name, folder, bunny=None, anisotropy=0, ior=1.5):
+        self.name, self.folder, self.light_model = name, os.path.join(folder, name), (anisotropy, ior)
         os.makedirs(self.folder)
         if name == "bunny":
             mesh = os.path.abspath(bunny)
@@ -144,7 +143,7 @@ class Shape:
     def compare(self, thickness, albedos, say):
         """Rows of the table: for each source and albedo."""
         extinction = thickness / self.chord
-        scene = scene_of(albedos, extinction, self.anisotropy)
+        scene = scene_of(albedos, extinction, *self.light_model)
         programs.write_json(os.path.join(self.folder, "scene.json"), scene)
         at = lambda name: os.path.join(self.folder, name)
         stage("reference", "scene.json", "surface.ply", "-o", "reference.ply", "--paths", "%g" % PATHS, "--no-interreflection",
@@ -186,7 +185,7 @@ class Shape:
         code = stage("diffuse", *diffuse, cwd=self.folder, accepted=(0, 4))
         if code == 4 and len(albedos) > 1:
             # One channel that is refused must not take the others with it.
-            grey = lambda albedo: scene_of([albedo], extinction, self.anisotropy)
+            grey = lambda albedo: scene_of([albedo], extinction, *self.light_model)
             return [self.solve(nodes, grey(albedo), [albedo], extinction, source)[0] for albedo in albedos]
         if code == 4:
             return [None]
@@ -289,6 +288,7 @@ def main():
     parser.add_argument("--shapes", nargs="+", choices=["sphere", "plate", "bunny"],
                         default=["sphere", "plate", "bunny"] if LONG else ["sphere"])
     parser.add_argument("--anisotropy", type=float, default=0, help="mean cosine of the phase function")
+    parser.add_argument("--ior", type=float, default=1.5, help="refractive index inside over outside")
     options = parser.parse_args()
     os.makedirs(options.output, exist_ok=True)
     at = lambda name: os.path.join(options.output, name)
@@ -299,7 +299,7 @@ def main():
             for name in options.shapes:
                 if name == "bunny" and not options.bunny:
                     continue
-                shape = Shape(name, folder, options.bunny, options.anisotropy)
+                shape = Shape(name, folder, options.bunny, options.anisotropy, options.ior)
                 for thickness in THICKNESSES:
                     for albedos in ALBEDOS:
                         rows += shape.compare(thickness, albedos, say)
