@@ -37,6 +37,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path.append(os.path.join(HERE, "..", "support"))
 import programs
 
+programs.BIN = os.path.abspath(programs.BIN)
 LONG = "SG_LONG" in os.environ
 # Three a scene, one a channel: paths are shared.
 ALBEDOS = [(0.5, 0.8, 0.95), (0.99, 0.999, 0.9999)]
