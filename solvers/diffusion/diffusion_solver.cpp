@@ -283,7 +283,8 @@ void DiffusionSolver::full_multigrid(bool correct_finest) {
     std::vector<Float4> start;
     if (judged) start = level.x.outer;
     cycle(l, inner_light_ || coarsest, coarsest,
-          {l == 0 ? parameters_.first_degree : parameters_.smoothing_degree, parameters_.smoothing_degree});
+          {l == 0 ? parameters_.first_degree : parameters_.smoothing_degree,
+           l == 0 ? parameters_.last_degree : parameters_.smoothing_degree});
     for (std::size_t k = l + 1; k < levels_.size(); ++k) keep_deep_solution(k, true);
     if (!judged || coarsest || !correct_finest) continue;
     // A second cycle, at little cost, tells what share of the error a cycle leaves.

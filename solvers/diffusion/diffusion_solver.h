@@ -23,6 +23,7 @@ struct SolverParameters {
   // the polynomials up to degree 4 for this bound stay below one: so the cycle is positive definite.
   double spectral_bound = 1.9;
   int first_degree = 2;             // before full multigrid's finest correction: its start is smooth already
+  int last_degree = 4;              // after it
   std::size_t coarsest_size = 400;  // unknowns that are solved directly
   double exact_below = 1e-3;        // tolerances below it take couplings in single and iterates in double precision
   double rough_contrast = 50;       // of σ_t' over the object, beyond which conjugate gradients take over at once

@@ -132,8 +132,43 @@ int main(int argc, char** argv) {
     tell(light, exact, last_processor_seconds);
   }
   solver->solve(light, 0.005);
-  report_time("warm to 0.005, light turned by 5°", 1, [&] { report = solver->solve(turned, 0.005, true); });
-  tell(turned, exact_turned, last_processor_seconds);
+  {
+    // There and back: each turn is a warm start.
+    bool there = false;
+    report_time("warm to 0.005, light turned by 5°", 5, [&] {
+      there = !there;
+      report = solver->solve(there ? turned : light, 0.005, true);
+    });
+    tell(turned, exact_turned, last_processor_seconds);
+  }
+  // The composite grid that the tolerance allows.
+  for (int depth : {1, 2, 3}) {
+    SolverParameters parameters;
+    parameters.depth = depth;
+    std::unique_ptr<DiffusionSolver> deep;
+    report_time(("composite grid of depth " + std::to_string(depth) + ", once").c_str(), 1,
+                [&] { deep = std::make_unique<DiffusionSolver>(grid, parameters); });
+    std::printf("   %zu unknown points of %zu\n", deep->size(), solver->size());
+    report_time("its set-up after a change of material", 2, [&] { deep->set_material(coefficients, 1.5, 0.005); });
+    const auto tell_deep = [&](const DiffusionLight& lamp, const std::vector<Double4>& truth) {
+      std::printf("   %d cycles, estimated %.2e, of it by depth %.2e", report.cycles, report.estimated_error,
+                  report.deep_error);
+      if (!truth.empty()) std::printf(", true %.2e", exitance_error(deep->surface().area, deep->exitance(lamp), truth));
+      std::printf("\n");
+    };
+    for (double tolerance : {0.05, 0.005}) {
+      report_time(("cold, adaptive, to " + std::to_string(tolerance)).c_str(), 5,
+                  [&] { report = deep->solve(light, tolerance); });
+      tell_deep(light, exact);
+    }
+    // There and back: each turn is a warm start.
+    bool there = false;
+    report_time("warm, adaptive, to 0.005, light turned by 5°", 6, [&] {
+      there = !there;
+      report = deep->solve(there ? turned : light, 0.005, true);
+    });
+    tell_deep(light, exact);
+  }
   std::printf("sweep %.1f MB = %.1f bytes an unknown point; solver %.0f bytes an unknown point\n",
               1e-6 * static_cast<double>(solver->sweep_bytes()),
               static_cast<double>(solver->sweep_bytes()) / static_cast<double>(solver->size()),
