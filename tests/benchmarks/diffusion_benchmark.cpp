@@ -18,7 +18,6 @@
 #include <cstdio>
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <memory>
 #include <string>
 
@@ -218,7 +217,7 @@ void run_own(const Row& blank, const Polygrid& grid, const Scene& scene, const S
 }
 
 void run_own(const std::string& size, const Polygrid& grid, const Scene& scene, const Variant& variant,
-             const std::vector<Double4>& exact, const DiscreteProblem& problem, std::vector<Row>& rows) {
+             const std::vector<Double4>& exact, const DiscreteProblem& problem, Table& table) {
   Row blank;
   blank.size = size;
   blank.method = variant.name;
@@ -235,7 +234,7 @@ void run_own(const std::string& size, const Polygrid& grid, const Scene& scene, 
                                                            best.setup.processor + best.solve.processor))
         best = run;
     best.level = level;
-    rows.push_back(best);
+    table.add(best);
   }
 }
 
@@ -278,8 +277,7 @@ struct PaperCase {
   }
 };
 
-void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene, OwnSolver& own,
-               std::vector<Row>& rows) {
+void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene, OwnSolver& own, Table& table) {
   PaperCase paper(grid, own.coefficients(), own.point_light());
   const PolygridGraph& graph = grid.graph;
   const std::size_t quads = paper.area.size();
@@ -391,7 +389,7 @@ void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene
         row.note = variant.depth > 0
                        ? "not reached: its deep nodes stay as they are"
                        : "not reached in " + std::to_string(static_cast<int>(scene.limits.seconds)) + " s a channel";
-      rows.push_back(row);
+      table.add(row);
     }
   }
 }
@@ -417,7 +415,7 @@ void take_system(DiffusionSystem& system, const std::vector<Double4>& irradiance
   problem.matrix = std::move(system.matrix);
 }
 
-void run_polygrid(const std::string& size, const std::string& path, const Scene& scene, std::vector<Row>& rows) {
+void run_polygrid(const std::string& size, const std::string& path, const Scene& scene, Table& table) {
   const Polygrid grid = read_polygrid(path);
   DiscreteProblem problem = named(size, "trilinear");
   std::vector<Double4> fluence;  // at the grid's points
@@ -433,14 +431,14 @@ void run_polygrid(const std::string& size, const std::string& path, const Scene&
     }
     std::vector<SolverParameters> composite(3);  // as deep as 5, 0.5 and 0.1 % want
     for (int k = 0; k < 3; ++k) composite[k].depth = k + 1;
-    run_own(size, grid, scene, {"shellgrid cold", {{}}, false}, exact, problem, rows);
-    run_own(size, grid, scene, {"shellgrid adaptive", composite, false}, exact, problem, rows);
-    run_own(size, grid, scene, {"shellgrid warm", {{}}, true}, exact_turned, problem, rows);
-    run_own(size, grid, scene, {"shellgrid adaptive warm", composite, true}, exact_turned, problem, rows);
+    run_own(size, grid, scene, {"shellgrid cold", {{}}, false}, exact, problem, table);
+    run_own(size, grid, scene, {"shellgrid adaptive", composite, false}, exact, problem, table);
+    run_own(size, grid, scene, {"shellgrid warm", {{}}, true}, exact_turned, problem, table);
+    run_own(size, grid, scene, {"shellgrid adaptive warm", composite, true}, exact_turned, problem, table);
   }
   {
     OwnSolver own(grid, scene);
-    run_paper(size, grid, scene, own, rows);
+    run_paper(size, grid, scene, own, table);
     PolygridSystem system;
     problem.assembly = time_of([&] { system = assemble_polygrid_system(grid, own.coefficients(), ior); }).processor;
     std::vector<Double4> irradiance, by_unknown;
@@ -450,7 +448,7 @@ void run_polygrid(const std::string& size, const std::string& path, const Scene&
     }
     take_system(system, irradiance, std::move(by_unknown), problem);
   }
-  run_libraries(problem, scene.limits, rows);
+  run_libraries(problem, scene.limits, table);
 }
 
 // The light on the surface at the place nearest to another.
@@ -462,7 +460,7 @@ Double4 light_near(const Scene& scene, const ClosestPointQuery& query, const Vec
   return light;
 }
 
-void run_tetrahedra(const std::string& size, const std::string& path, const Scene& scene, std::vector<Row>& rows) {
+void run_tetrahedra(const std::string& size, const std::string& path, const Scene& scene, Table& table) {
   const TetrahedralMesh mesh = read_tetrahedra(path);
   std::vector<Rgb> absorption, extinction;
   for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t) {
@@ -509,10 +507,10 @@ void run_tetrahedra(const std::string& size, const std::string& path, const Scen
     return result;
   };
   scene.judge(joined(carry(exitance), carry(soft)), problem);
-  run_libraries(problem, scene.limits, rows);
+  run_libraries(problem, scene.limits, table);
 }
 
-void run_embedded(const std::string& size, const Scene& scene, std::vector<Row>& rows) {
+void run_embedded(const std::string& size, const Scene& scene, Table& table) {
   double volume = 0;
   for (int f = 0; f < scene.surface.face_count(); ++f)
     volume += scene.surface.corner(f, 0).dot(scene.surface.corner(f, 1).cross(scene.surface.corner(f, 2))) / 6;
@@ -557,7 +555,7 @@ void run_embedded(const std::string& size, const Scene& scene, std::vector<Row>&
   problem.matrix = std::move(system.matrix);
   const auto carry = [&](const std::vector<Rgb>& values) { return pieces_to_vertices(grid, scene.surface, values); };
   scene.judge(joined(carry(exitance), carry(soft)), problem);
-  run_libraries(problem, scene.limits, rows);
+  run_libraries(problem, scene.limits, table);
 }
 
 }  // namespace
@@ -585,15 +583,10 @@ int main(int argc, char** argv) {
     scene.finest = own.at_vertices(own.exact(false));
     break;
   }
-  std::printf("%s\n", table_head);
+  Table table;
   for (const std::string& size : sizes) {
-    std::vector<Row> rows;
-    run_polygrid(size, file("polygrid", size), scene, rows);
-    if (std::filesystem::exists(file("tets", size))) run_tetrahedra(size, file("tets", size), scene, rows);
-    run_embedded(size, scene, rows);
-    std::map<double, const Row*> own;
-    for (const Row& row : rows)
-      if (row.method == "shellgrid cold") own[row.level] = &row;
-    for (const Row& row : rows) print(row, own[row.level]);
+    run_polygrid(size, file("polygrid", size), scene, table);
+    if (std::filesystem::exists(file("tets", size))) run_tetrahedra(size, file("tets", size), scene, table);
+    run_embedded(size, scene, table);
   }
 }

@@ -95,7 +95,7 @@ void add_application(const Channel& channel, Tally& tally) {
 }
 
 void append(const std::string& method, const DiscreteProblem& problem, const Limits& limits, const Tally& tally,
-            std::vector<Row>& rows) {
+            Table& table) {
   for (std::size_t l = 0; l < error_levels.size(); ++l) {
     Row row;
     row.size = problem.size, row.method = method, row.discretisation = problem.discretisation;
@@ -109,7 +109,7 @@ void append(const std::string& method, const DiscreteProblem& problem, const Lim
     row.floor = tally.pass_bytes / limits.triad;
     row.discretisation_error = problem.discretisation_error, row.soft_error = problem.soft_error;
     row.note = tally.note[l];
-    rows.push_back(row);
+    table.add(row);
   }
 }
 
@@ -136,8 +136,7 @@ Iterations observe(const Channel& channel, const Preconditioner& preconditioner,
 }
 
 template <class Preconditioner>
-void run_eigen(const std::string& method, const DiscreteProblem& problem, const Limits& limits,
-               std::vector<Row>& rows) {
+void run_eigen(const std::string& method, const DiscreteProblem& problem, const Limits& limits, Table& table) {
   Tally tally;
   for (int c = 0; c < 3; ++c) {
     const PeakMemory memory;
@@ -162,10 +161,10 @@ void run_eigen(const std::string& method, const DiscreteProblem& problem, const 
     tally.bytes = std::max(tally.bytes, memory.bytes());
     add_application(channel, tally);
   }
-  append(method, problem, limits, tally, rows);
+  append(method, problem, limits, tally, table);
 }
 
-void run_hypre(const DiscreteProblem& problem, const Limits& limits, std::vector<Row>& rows) {
+void run_hypre(const DiscreteProblem& problem, const Limits& limits, Table& table) {
   Tally tally;
   for (int c = 0; c < 3; ++c) {
     const PeakMemory memory;
@@ -191,7 +190,7 @@ void run_hypre(const DiscreteProblem& problem, const Limits& limits, std::vector
     tally.bytes = std::max(tally.bytes, memory.bytes());
     add_application(channel, tally);
   }
-  append("hypre BoomerAMG + CG", problem, limits, tally, rows);
+  append("hypre BoomerAMG + CG", problem, limits, tally, table);
 }
 
 // What CHOLMOD's factors took at the size before, to foretell those of greater ones.
@@ -199,7 +198,7 @@ struct FactorHistory {
   double unknowns = 0, operations = 0, bytes = 0, operations_a_second = 1e10;
 };
 
-void run_cholmod(const DiscreteProblem& problem, const Limits& limits, std::vector<Row>& rows) {
+void run_cholmod(const DiscreteProblem& problem, const Limits& limits, Table& table) {
   static std::vector<std::pair<std::string, FactorHistory>> histories;  // by discretisation
   FactorHistory* history = nullptr;
   for (auto& [name, h] : histories)
@@ -215,7 +214,7 @@ void run_cholmod(const DiscreteProblem& problem, const Limits& limits, std::vect
     std::snprintf(note, sizeof note, "left out: its factor would take %s %.1f GiB and %.0f s a channel", how,
                   cost.bytes / (1 << 30), cost.operations / history->operations_a_second);
     tally.note.fill(note);
-    append("CHOLMOD", problem, limits, tally, rows);
+    append("CHOLMOD", problem, limits, tally, table);
   };
   const auto too_much = [&] {
     return cost.bytes > limits.bytes || cost.operations / history->operations_a_second > limits.seconds;
@@ -243,7 +242,7 @@ void run_cholmod(const DiscreteProblem& problem, const Limits& limits, std::vect
     tally.bytes = std::max(tally.bytes, memory.bytes());
     add_application(channel, tally);
   }
-  append("CHOLMOD", problem, limits, tally, rows);
+  append("CHOLMOD", problem, limits, tally, table);
 }
 
 }  // namespace
@@ -265,13 +264,13 @@ std::vector<std::vector<Double4>> solve_exactly(const CouplingOperator& system,
   return fluences;
 }
 
-void run_libraries(const DiscreteProblem& problem, const Limits& limits, std::vector<Row>& rows) {
+void run_libraries(const DiscreteProblem& problem, const Limits& limits, Table& table) {
   // In the unknowns' own order, by place: twice as fast as in Eigen's default one on lattices, the same on tetrahedra.
   run_eigen<Eigen::IncompleteCholesky<double, Eigen::Lower, Eigen::NaturalOrdering<int>>>("CG + incomplete Cholesky",
-                                                                                          problem, limits, rows);
-  run_eigen<Eigen::DiagonalPreconditioner<double>>("CG + Jacobi", problem, limits, rows);
-  run_hypre(problem, limits, rows);
-  run_cholmod(problem, limits, rows);
+                                                                                          problem, limits, table);
+  run_eigen<Eigen::DiagonalPreconditioner<double>>("CG + Jacobi", problem, limits, table);
+  run_hypre(problem, limits, table);
+  run_cholmod(problem, limits, table);
 }
 
 }  // namespace shellgrid::test

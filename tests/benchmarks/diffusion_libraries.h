@@ -38,9 +38,9 @@ struct Limits {
 std::vector<std::vector<Double4>> solve_exactly(const CouplingOperator& matrix,
                                                 const std::vector<std::vector<Double4>>& sources);
 
-// Appends a row for each method and level: conjugate gradients with incomplete Cholesky and with Jacobi (Eigen),
+// Adds a row for each method and level: conjugate gradients with incomplete Cholesky and with Jacobi (Eigen),
 // BoomerAMG with conjugate gradients (hypre), CHOLMOD. Each channel stops at the iteration that brings its own error
 // under the level, which an observed run finds out before the run that is timed.
-void run_libraries(const DiscreteProblem& problem, const Limits& limits, std::vector<Row>& rows);
+void run_libraries(const DiscreteProblem& problem, const Limits& limits, Table& table);
 
 }  // namespace shellgrid::test

@@ -11,7 +11,9 @@
 #include <cstring>
 #include <ctime>
 #include <fstream>
+#include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "solvers/diffusion/channel_lanes.h"
@@ -93,11 +95,12 @@ constexpr const char* table_head =
     "solve_ratio,unknowns_per_core_s,applications_per_digit,floor_ratio,discretisation_error,"
     "soft_light_error,note";
 
-// `own`: this project's row of the same size and level, or null.
+// `own`: this project's cold row of the same size and level, or null.
 inline void print(const Row& r, const Row* own) {
   std::printf("%s,%s,%s,%zu,%g,", r.size.c_str(), r.method.c_str(), r.discretisation.c_str(), r.unknowns, r.level);
   if (!r.note.empty()) {
     std::printf(",,,,,,,,,,,,,,%s\n", r.note.c_str());
+    std::fflush(stdout);
     return;
   }
   std::printf("%.3e,%.4g,%.4g,%.4g,%.4g,%.4g,%.4g,", r.error, r.assembly, r.setup.processor, r.solve.processor,
@@ -120,5 +123,19 @@ inline void print(const Row& r, const Row* own) {
   std::printf(",\n");
   std::fflush(stdout);
 }
+
+// Prints each row as soon as it is known; this project's cold ones come first in each size.
+class Table {
+ public:
+  Table() { std::printf("%s\n", table_head); }
+  void add(const Row& row) {
+    if (row.method == "shellgrid cold") own_[{row.size, row.level}] = row;
+    const auto found = own_.find({row.size, row.level});
+    print(row, found == own_.end() ? nullptr : &found->second);
+  }
+
+ private:
+  std::map<std::pair<std::string, double>, Row> own_;
+};
 
 }  // namespace shellgrid::test
