@@ -161,6 +161,7 @@ void build_transfer(RunLevel& fine, const RunLevel& coarse, const PointTransfer&
   for (std::size_t r = 0; r < runs; ++r) {
     LevelTransfer::FineRun& run = transfer.fine_runs[r];
     if (run.lines == 0) {
+      run.half_start = static_cast<std::int32_t>(transfer.inner_up.row.size());
       const LatticeRun& own = fine.layout.runs[r];
       for (std::int32_t u = own.start; u < own.start + own.length; ++u) {
         const std::int32_t point = fine.layout.point_of[u];
@@ -176,7 +177,7 @@ void build_transfer(RunLevel& fine, const RunLevel& coarse, const PointTransfer&
     for (int line = 0; line < run.lines; ++line) {
       const std::int32_t target = coarse.layout.run_of[run.coarse[line]];
       parts[target].push_back({static_cast<std::int32_t>(r), run.coarse[line] - coarse.layout.runs[target].start,
-                               1.0f / static_cast<float>(run.lines)});
+                               1.0f / static_cast<float>(run.lines), line});
     }
   }
   transfer.part_start.push_back(0);

@@ -122,7 +122,8 @@ class DiffusionSolver {
   void keep_deep_solution(std::size_t level, bool add);
   std::vector<ChannelPlanes<float>> gather_deep(const std::vector<Double4>& point_values) const;
   void set_light(const DiffusionLight& light);
-  static double share_left(const RunLevel& level, const std::vector<Float4>& start, const std::vector<Float4>& once);
+  static Double4 surface_change(const RunLevel& level, const std::vector<Float4>& x, const std::vector<Float4>& y);
+  double relative_change(const Double4& surface_change) const;
   double exitance_change(const std::vector<Float4>& before) const;
   void solve_by_conjugate_gradients(double tolerance, SolveReport& report);
   void conserve_energy(const DiffusionLight& light);
@@ -140,8 +141,9 @@ class DiffusionSolver {
   bool direct_ = false;
 
   std::vector<LevelVector<float>> lights_;  // of each level, for full multigrid; inner parts only with inner light
-  double error_left_ = 0.1;                 // share of the error that a cycle leaves, measured a level below
-  std::vector<Float4> first_outer_;         // the outer points before the last cycle
+  double error_left_ = 0.1;          // share of the first cycle's change that the second one makes, a level below
+  Double4 second_change_ = {};       // the latter's surface_change
+  std::vector<Float4> first_outer_;  // the outer points before the last cycle
   bool inner_light_ = false;
   Double4 scale_ = {};         // the light's; iterates are in units of it
   LevelVector<double> exact_;  // the solution in double precision, where that was asked for

@@ -7,6 +7,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
+#include "solvers/diffusion/box_transfer.h"
 #include "solvers/diffusion/element_lanes.h"
 #include "solvers/diffusion/polygrid_system.h"
 #include "solvers/diffusion/trilinear_cell.h"
@@ -123,6 +124,27 @@ void load_cells(const FineGrid& fine, const CellCoefficients& coefficients, cons
     for (int q = 0; q < 8; ++q) lanes.diffusion[c][q] = 1.0f / (3.0f * lanes.diffusion[c][q]);
 }
 
+// The children's part in their parents' elements.
+void coarsen(const RunLevel& level, const ElementLanes& element, std::int32_t first, int count, ElementLanes& parent) {
+  if (!level.transfer.weights) {
+    coarsen_elements(element, level.cells.octant.data() + first, count, parent);
+    return;
+  }
+  ParentWeights weights;
+  load_parent_weights(level, first, count, weights);
+  coarsen_elements(element, weights, parent);
+}
+
+void coarsen_boundary(const RunLevel& level, const BoundaryElement& element, std::int32_t place,
+                      std::vector<BoundaryElement>& coarse) {
+  const std::int32_t cell = level.cells.boundary[place];
+  BoundaryElement& parent = coarse[level.cells.boundary_parent[place]];
+  if (level.transfer.weights)
+    add_coarse_boundary(element, level, cell, parent);
+  else
+    add_coarse_boundary(element, level.cells.octant[cell], parent);
+}
+
 void add_line(float* to, const Float16Lanes& value, int count) {
   if (count == 16) {
     store_lanes(to, load_lanes<Float16Lanes>(to) + value);
@@ -131,7 +153,8 @@ void add_line(float* to, const Float16Lanes& value, int count) {
   for (int i = 0; i < count; ++i) to[i] += value[i];
 }
 
-void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fine, RunLevel& level,
+// Adds the elements to the rows, and to the parents' elements; `rows` false: to the parents' alone.
+void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fine, RunLevel& level, bool rows,
                         CellElements* coarse) {
   const RunLayout& layout = level.layout;
   const float* const plane[3] = {fine.position[0], fine.position[1], fine.position[2]};
@@ -148,9 +171,10 @@ void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fi
           corner[k] = run.regular ? run.unknown[k / 2] + at + (k & 1) : level.cells.corners[8 * first_cell + k];
         load_cells(fine, coefficients, corner, plane, first_cell, count, lanes);
         core_elements(lanes, element);
-        for (int a = 0; a < 8; ++a)
+        for (int a = 0; a < 8 && rows; ++a)
           for (int c = 0; c < 3; ++c) add_line(level.reaction.inner[c] + corner[a], element.absorption[c][a], count);
-        if (run.regular) {
+        if (!rows) {
+        } else if (run.regular) {
           for (int a = 0; a < 8; ++a) {
             const LatticeRun& points = layout.runs[layout.run_of[corner[a]]];
             float* base = level.single.values.data() + static_cast<std::int64_t>(coupling_slots) * 3 * points.start +
@@ -169,7 +193,7 @@ void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fi
             }
         }
         if (!coarse) continue;
-        coarsen_elements(element, level.cells.octant.data() + first_cell, count, parent);
+        coarsen(level, element, first_cell, count, parent);
         if (run.regular)
           add_to_line_of_parents(parent, level.cells.parent[first_cell], (run.x + at) & 1, count, *coarse);
         else
@@ -179,14 +203,14 @@ void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fi
   });
 }
 
-void assemble_coarse_core(const CellElements& elements, RunLevel& level, CellElements* coarse) {
+void assemble_coarse_core(const CellElements& elements, RunLevel& level, bool rows, CellElements* coarse) {
   for_slabs(level.cells.slab_start, [&](std::int32_t first, std::int32_t last) {
     ElementLanes element, parent;
     for (std::int32_t cell = first; cell < last; cell += 16) {
       const int count = std::min(16, last - cell);
       for (int k = 0; k < 84; ++k)
         element.coupling[k / 28][k % 28] = load_lanes<Float16Lanes>(elements.plane(k) + cell);
-      for (int i = 0; i < count; ++i)
+      for (int i = 0; i < count && rows; ++i)
         for (int a = 0; a < 8; ++a)
           for (int b = a + 1; b < 8; ++b) {
             const int k = pair_number(a, b);
@@ -194,7 +218,7 @@ void assemble_coarse_core(const CellElements& elements, RunLevel& level, CellEle
             add_coupling(level, cell + i, a, b, value);
           }
       if (!coarse) continue;
-      coarsen_elements(element, level.cells.octant.data() + cell, count, parent);
+      coarsen(level, element, cell, count, parent);
       add_to_parents(parent, level.cells.parent.data() + cell, count, *coarse);
     }
   });
@@ -344,7 +368,7 @@ void add_boundary_element(const BoundaryElement& element, std::size_t place, Run
 
 // The thin layer's elements, one core cell's at a time.
 void assemble_layer(const Polygrid& polygrid, const CellCoefficients& coefficients, const FineGrid& fine,
-                    RunLevel& level, SurfaceTerms& terms, std::vector<BoundaryElement>* coarse) {
+                    RunLevel& level, bool rows, SurfaceTerms& terms, std::vector<BoundaryElement>* coarse) {
   std::vector<std::int32_t> first(level.cells.boundary.size() + 1, 0);
   for (std::int32_t place : fine.layer_boundary) ++first[place + 1];
   for (std::size_t k = 1; k < first.size(); ++k) first[k] += first[k - 1];
@@ -358,26 +382,23 @@ void assemble_layer(const Polygrid& polygrid, const CellCoefficients& coefficien
                        coefficients.reduced_extinction.data() + samples, fine.layer_node[k], element, absorption);
       }
       const std::int32_t* corners = level.cells.corners.data() + 8 * level.cells.boundary[place];
-      for (int a = 0; a < 8; ++a) {
+      for (int a = 0; a < 8 && rows; ++a) {
         if (!(level.cells.outer_mask[place] >> a & 1)) continue;
         for (int c = 0; c < 3; ++c) level.reaction.inner[c][corners[a]] += absorption[a][c];
         terms.absorption[level.cells.outer[8 * place + a]] += absorption[a + 8];
       }
-      add_boundary_element(element, place, level);
-      if (coarse)
-        add_coarse_boundary(element, level.cells.octant[level.cells.boundary[place]],
-                            (*coarse)[level.cells.boundary_parent[place]]);
+      if (rows) add_boundary_element(element, place, level);
+      if (coarse) coarsen_boundary(level, element, place, *coarse);
     }
   });
 }
 
-void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level, std::vector<BoundaryElement>* coarse) {
+void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level, bool rows,
+                  std::vector<BoundaryElement>* coarse) {
   for_slabs(level.cells.boundary_slab_start, [&](std::int32_t begin, std::int32_t end) {
     for (std::int32_t place = begin; place < end; ++place) {
-      add_boundary_element(elements[place], place, level);
-      if (coarse)
-        add_coarse_boundary(elements[place], level.cells.octant[level.cells.boundary[place]],
-                            (*coarse)[level.cells.boundary_parent[place]]);
+      if (rows) add_boundary_element(elements[place], place, level);
+      if (coarse) coarsen_boundary(level, elements[place], place, *coarse);
     }
   });
 }
@@ -513,6 +534,25 @@ void store_half(RunLevel& level, const Float4* ratio) {
   level.half.surface_factor = Float4{1, 1, 1, 1} / surface_scale;
 }
 
+// The coarse level's reaction and links: the sums of the Galerkin products' rows.
+void restrict_terms(RunLevel& level, RunLevel& coarse) {
+  coarse.link.resize(coarse.surface.size());
+  if (!level.transfer.weights) {
+    restrict_vector(level, level.reaction, coarse.layout, coarse.reaction);
+    restrict_outer_vector(level, level.link, coarse.link);
+    return;
+  }
+  // Where weights do not add up to one, couplings lose light, too.
+  LevelVector<float>&ones = coarse.before, &sums = level.before, &image = level.right_side;
+  for (int c = 0; c < 3; ++c) std::fill(ones.inner[c], ones.inner[c] + coarse.inner_size(), 1.0f);
+  std::fill(ones.outer.begin(), ones.outer.end(), Float4{1, 1, 1, 1});
+  prolong_vector(level, ones, sums, false);
+  apply_level(level, sums, image);
+  restrict_vector(level, image, coarse.layout, coarse.reaction);
+  for (std::size_t s = 0; s < image.outer.size(); ++s) image.outer[s] = level.link[s] * sums.outer[s];
+  restrict_outer_vector(level, image.outer, coarse.link);
+}
+
 }  // namespace
 
 SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& coefficients,
@@ -548,27 +588,31 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
     const bool has_coarse = l + 1 < levels.size();
     if (has_coarse) coarse_elements = CellElements(levels[l + 1].cells);
     CellElements* coarse = has_coarse ? &coarse_elements : nullptr;
-    if (l == 0) {
-      for (int c = 0; c < 3; ++c)
-        std::fill(level.reaction.inner[c], level.reaction.inner[c] + level.inner_size(), 0.0f);
-      assemble_fine_core(coefficients, fine, level, coarse);
-      assemble_layer(polygrid, coefficients, fine, level, terms, coarse ? &coarse->boundary : nullptr);
-      for (std::size_t s = 0; s < terms.area.size(); ++s)
-        level.reaction.outer[s] =
-            terms.absorption[s] +
-            static_cast<float>(terms.area[s] / (2 * options.boundary_factor)) * Float4{1, 1, 1, 0};  // PHYSICS D2
-    } else {
-      assemble_coarse_core(elements, level, coarse);
-      add_boundary(boundary, level, coarse ? &coarse->boundary : nullptr);
+    level.transfer.weights.values = {};
+    const bool box = options.box_transfer && has_coarse;
+    // Where the transfer follows the couplings these come first, and the coarse elements in a second pass.
+    for (int pass = 0; pass <= box; ++pass) {
+      const bool rows = pass == 0;
+      CellElements* to = box && rows ? nullptr : coarse;
+      if (l == 0) {
+        for (int c = 0; c < 3 && rows; ++c)
+          std::fill(level.reaction.inner[c], level.reaction.inner[c] + level.inner_size(), 0.0f);
+        assemble_fine_core(coefficients, fine, level, rows, to);
+        assemble_layer(polygrid, coefficients, fine, level, rows, terms, to ? &to->boundary : nullptr);
+        for (std::size_t s = 0; s < terms.area.size() && rows; ++s)
+          level.reaction.outer[s] =
+              terms.absorption[s] +
+              static_cast<float>(terms.area[s] / (2 * options.boundary_factor)) * Float4{1, 1, 1, 0};  // PHYSICS D2
+      } else {
+        assemble_coarse_core(elements, level, rows, to);
+        add_boundary(boundary, level, rows, to ? &to->boundary : nullptr);
+      }
+      if (box && rows) set_box_weights(level);
     }
     elements = std::move(coarse_elements);
     boundary = std::move(elements.boundary);
     store_half(level, one_copy ? &ratio : nullptr);
-    if (has_coarse) {
-      restrict_vector(level, level.reaction, levels[l + 1].layout, levels[l + 1].reaction);
-      levels[l + 1].link.resize(levels[l + 1].surface.size());
-      restrict_outer_vector(level, level.link, levels[l + 1].link);
-    }
+    if (has_coarse) restrict_terms(level, levels[l + 1]);
     prepare_smoother(level);
     if (!options.keep_single && level.single.values.size() * sizeof(float) > largest_kept) level.single = {};
   }

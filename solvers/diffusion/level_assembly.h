@@ -11,6 +11,7 @@ namespace shellgrid {
 struct AssemblyOptions {
   double boundary_factor = 1;  // C of D2
   bool keep_single = false;    // couplings of the finest level in single precision as well
+  bool box_transfer = false;   // prolongation follows the couplings
 };
 
 // What the finest level's outer points have of their own.

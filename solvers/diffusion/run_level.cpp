@@ -309,6 +309,24 @@ void halve_run(const LatticeRun& run, std::int32_t coarse_length, const float* l
   for (; X < coarse_length; ++X) halved[X] = 0.5f * at(2 * X - 1 - odd) + at(2 * X - odd) + 0.5f * at(2 * X + 1 - odd);
 }
 
+// What one fine run gives to one coarse line.
+void restrict_by_weights(const RunLevel& level, const LevelTransfer::CoarsePart& part, int channel, const float* fine,
+                         float* to) {
+  const LevelTransfer::FineRun& from = level.transfer.fine_runs[part.fine_run];
+  const LatticeRun& run = level.layout.runs[part.fine_run];
+  const std::int32_t length = from.coarse_length;
+  const auto weights = [&](int kind) {
+    return level.transfer.weights.line(part.fine_run, length, part.line, kind) +
+           static_cast<std::int64_t>(channel) * length;
+  };
+  const float *even = weights(0), *low = weights(1), *high = weights(2);
+  // Places beyond the run's ends have no weight.
+  const float* at = fine + run.start - (run.x & 1);
+  to[0] += even[0] * at[0] + low[0] * at[1];
+  for (std::int32_t X = 1; X < length; ++X)
+    to[X] += even[X] * at[2 * X] + low[X] * at[2 * X + 1] + high[X - 1] * at[2 * X - 1];
+}
+
 // Adds the halved lines up in the coarse runs; irregular runs' values stand in `fine`.
 void restrict_lines(RunLevel& level, const LevelVector<float>& fine, const RunLayout& coarse_layout,
                     LevelVector<float>& coarse) {
@@ -321,8 +339,12 @@ void restrict_lines(RunLevel& level, const LevelVector<float>& fine, const RunLa
       for (std::int32_t k = transfer.part_start[S]; k < transfer.part_start[S + 1]; ++k) {
         const LevelTransfer::CoarsePart& part = transfer.parts[k];
         const LevelTransfer::FineRun& from = transfer.fine_runs[part.fine_run];
-        const float* halved = level.halved[c] + from.half_start;
         float* to = sum + part.coarse_place;
+        if (transfer.weights) {
+          restrict_by_weights(level, part, c, fine.inner[c], to);
+          continue;
+        }
+        const float* halved = level.halved[c] + from.half_start;
         for (std::int32_t X = 0; X < from.coarse_length; ++X) to[X] += part.weight * halved[X];
       }
     }
@@ -330,13 +352,20 @@ void restrict_lines(RunLevel& level, const LevelVector<float>& fine, const RunLa
   const LevelTransfer::List& list = transfer.inner_down;
   for (std::size_t k = 0; k < list.row.size(); ++k)
     for (std::int64_t e = list.start[k]; e < list.start[k + 1]; ++e)
-      for (int c = 0; c < 3; ++c) coarse.inner[c][list.row[k]] += list.weight[e] * fine.inner[c][list.index[e]];
+      for (int c = 0; c < 3; ++c)
+        coarse.inner[c][list.row[k]] +=
+            (transfer.weights ? transfer.weights.inner_down[e][c] : list.weight[e]) * fine.inner[c][list.index[e]];
 }
 
-void restrict_outer(const LevelTransfer::List& list, const std::vector<Float4>& fine, std::vector<Float4>& coarse) {
+void restrict_outer(const LevelTransfer& transfer, const std::vector<Float4>& fine, std::vector<Float4>& coarse) {
+  const LevelTransfer::List& list = transfer.outer_down;
   for_outer(coarse.size(), [&](std::size_t s) {
     Float4 sum = {};
-    for (std::int64_t e = list.start[s]; e < list.start[s + 1]; ++e) sum += list.weight[e] * fine[list.index[e]];
+    if (transfer.weights)
+      for (std::int64_t e = list.start[s]; e < list.start[s + 1]; ++e)
+        sum += transfer.weights.outer_down[e] * fine[list.index[e]];
+    else
+      for (std::int64_t e = list.start[s]; e < list.start[s + 1]; ++e) sum += list.weight[e] * fine[list.index[e]];
     coarse[s] = sum;
   });
 }
@@ -346,7 +375,7 @@ void leave_run(RunLevel& level, std::size_t r, const LatticeRun& run, const floa
                LevelVector<float>& fine) {
   const LevelTransfer::FineRun& to = level.transfer.fine_runs[r];
   for (int c = 0; c < 3; ++c)
-    if (to.lines > 0)
+    if (to.lines > 0 && !level.transfer.weights)
       halve_run(run, to.coarse_length, line[c], level.halved[c] + to.half_start);
     else
       std::copy(line[c], line[c] + run.length, fine.inner[c] + run.start);
@@ -566,7 +595,41 @@ void restrict_residual(RunLevel& level, RunLevel& coarse, bool inner_light) {
     level.before.outer[s] = outer_residual(level, level.x, level.right_side, losses, static_cast<std::int32_t>(s));
   });
   restrict_lines(level, level.before, coarse.layout, coarse.right_side);
-  restrict_outer(level.transfer.outer_down, level.before.outer, coarse.right_side.outer);
+  restrict_outer(level.transfer, level.before.outer, coarse.right_side.outer);
+}
+
+// One run's points from their coarse ones.
+void prolong_by_weights(const RunLevel& level, std::size_t r, const LevelVector<float>& coarse,
+                        LevelVector<float>& fine, bool add) {
+  const LevelTransfer::FineRun& from = level.transfer.fine_runs[r];
+  const LatticeRun& run = level.layout.runs[r];
+  const std::int32_t length = from.coarse_length;
+  RunLines<float>& lines = thread_lines<float>();
+  lines.fit(2 * static_cast<std::size_t>(length));
+  for (int c = 0; c < 3; ++c) {
+    float* even = lines[0];
+    float* odd = even + length;
+    for (int line = 0; line < from.lines; ++line) {
+      const float* value = coarse.inner[c] + from.coarse[line];
+      const auto weights = [&](int kind) {
+        return level.transfer.weights.line(r, length, line, kind) + static_cast<std::int64_t>(c) * length;
+      };
+      const float *on = weights(0), *low = weights(1), *high = weights(2);
+      if (line == 0) {
+        for (std::int32_t X = 0; X < length; ++X) even[X] = on[X] * value[X];
+        for (std::int32_t X = 0; X + 1 < length; ++X) odd[X] = low[X] * value[X] + high[X] * value[X + 1];
+      } else {
+        for (std::int32_t X = 0; X < length; ++X) even[X] += on[X] * value[X];
+        for (std::int32_t X = 0; X + 1 < length; ++X) odd[X] += low[X] * value[X] + high[X] * value[X + 1];
+      }
+    }
+    float* to = fine.inner[c] + run.start;
+    const int first = run.x & 1;
+    for (std::int32_t p = 0; p < run.length; ++p) {
+      const float value = ((p + first) & 1 ? odd : even)[(p + first) / 2];
+      to[p] = add ? to[p] + value : value;
+    }
+  }
 }
 
 void prolong_vector(const RunLevel& level, const LevelVector<float>& coarse, LevelVector<float>& fine, bool add) {
@@ -575,6 +638,10 @@ void prolong_vector(const RunLevel& level, const LevelVector<float>& coarse, Lev
     const LevelTransfer::FineRun& from = transfer.fine_runs[r];
     if (from.lines == 0) return;
     const LatticeRun& run = level.layout.runs[r];
+    if (transfer.weights) {
+      prolong_by_weights(level, r, coarse, fine, add);
+      return;
+    }
     RunLines<float>& lines = thread_lines<float>();
     lines.fit(std::max(run.length, from.coarse_length));
     const int odd = run.x & 1;
@@ -618,17 +685,25 @@ void prolong_vector(const RunLevel& level, const LevelVector<float>& coarse, Lev
     const float share = 1.0f / static_cast<float>(list.start[k + 1] - list.start[k]);
     for (int c = 0; c < 3; ++c) {
       float sum = 0;
-      for (std::int64_t e = list.start[k]; e < list.start[k + 1]; ++e) sum += coarse.inner[c][list.index[e]];
+      if (transfer.weights)
+        for (std::int64_t e = list.start[k]; e < list.start[k + 1]; ++e)
+          sum += transfer.weights.inner_up[e][c] * coarse.inner[c][list.index[e]];
+      else
+        for (std::int64_t e = list.start[k]; e < list.start[k + 1]; ++e) sum += share * coarse.inner[c][list.index[e]];
       float& to = fine.inner[c][list.row[k]];
-      to = add ? to + share * sum : share * sum;
+      to = add ? to + sum : sum;
     }
   }
   const LevelTransfer::List& up = transfer.outer_up;
   for_outer(fine.outer.size(), [&](std::size_t s) {
     Float4 sum = {};
-    for (std::int64_t e = up.start[s]; e < up.start[s + 1]; ++e) sum += coarse.outer[up.index[e]];
     const float share = 1.0f / static_cast<float>(up.start[s + 1] - up.start[s]);
-    fine.outer[s] = add ? fine.outer[s] + share * sum : share * sum;
+    if (transfer.weights)
+      for (std::int64_t e = up.start[s]; e < up.start[s + 1]; ++e)
+        sum += transfer.weights.outer_up[e] * coarse.outer[up.index[e]];
+    else
+      for (std::int64_t e = up.start[s]; e < up.start[s + 1]; ++e) sum += share * coarse.outer[up.index[e]];
+    fine.outer[s] = add ? fine.outer[s] + sum : sum;
   });
 }
 
@@ -638,14 +713,15 @@ void restrict_vector(RunLevel& level, const LevelVector<float>& fine, const RunL
     const LatticeRun& run = level.layout.runs[r];
     const LevelTransfer::FineRun& to = level.transfer.fine_runs[r];
     for (int c = 0; c < 3; ++c)
-      if (to.lines > 0) halve_run(run, to.coarse_length, fine.inner[c] + run.start, level.halved[c] + to.half_start);
+      if (to.lines > 0 && !level.transfer.weights)
+        halve_run(run, to.coarse_length, fine.inner[c] + run.start, level.halved[c] + to.half_start);
   });
   restrict_lines(level, fine, coarse_layout, coarse);
-  restrict_outer(level.transfer.outer_down, fine.outer, coarse.outer);
+  restrict_outer(level.transfer, fine.outer, coarse.outer);
 }
 
 void restrict_outer_vector(const RunLevel& level, const std::vector<Float4>& fine, std::vector<Float4>& coarse) {
-  restrict_outer(level.transfer.outer_down, fine, coarse);
+  restrict_outer(level.transfer, fine, coarse);
 }
 
 }  // namespace shellgrid

@@ -77,6 +77,23 @@ struct LevelCouplings {
   std::size_t bytes() const { return values.size() * sizeof(Store) + surface.size() * sizeof(surface[0]); }
 };
 
+// What fine points take from each of their coarse ones, where these are not equal shares.
+struct TransferWeights {
+  StreamBuffer<float> values;                                      // of runs without a list: see `line`
+  std::vector<std::int64_t> start;                                 // runs + 1, in `values`
+  std::vector<Float4> inner_up, inner_down, outer_up, outer_down;  // of the lists' entries
+
+  explicit operator bool() const { return static_cast<bool>(values); }
+  // Of a run's points and one of its coarse lines. Kind 0: of points at 2 X of the line's point X; 1, 2: of points at
+  // 2 X + 1 of the line's points X, X + 1. Red; green and blue follow `coarse_length` apart.
+  float* line(std::size_t run, std::int32_t coarse_length, int line, int kind) {
+    return values.data() + start[run] + static_cast<std::int64_t>(3 * (3 * line + kind)) * coarse_length;
+  }
+  const float* line(std::size_t run, std::int32_t coarse_length, int line, int kind) const {
+    return const_cast<TransferWeights*>(this)->line(run, coarse_length, line, kind);
+  }
+};
+
 // Restriction and prolongation between a level and the next coarser one: the fine points of a run take the mean of 1, 2
 // or 4 coarse lines, and at odd x of two points of each. Other runs and outer points have lists.
 struct LevelTransfer {
@@ -84,11 +101,12 @@ struct LevelTransfer {
     std::array<std::int32_t, 4> coarse{};  // coarse unknowns at the run's first x, halved and rounded down
     std::int32_t lines = 0;                // 1, 2, 4; 0: by list
     std::int32_t coarse_length = 0;        // coarse places that the run touches in each line
-    std::int32_t half_start = 0;           // where its residual, summed along x, stands
+    std::int32_t half_start = 0;           // where its residual, summed along x, stands; by list: its first row
   };
   struct CoarsePart {
     std::int32_t fine_run, coarse_place;  // first coarse place it adds to
     float weight;
+    std::int32_t line;  // which of the fine run's
   };
   struct List {
     std::vector<std::int32_t> row;  // the unknowns that have an entry; all where empty
@@ -102,6 +120,7 @@ struct LevelTransfer {
   std::int64_t half_size = 0;
   List inner_up, inner_down;  // of irregular runs: coarse of fine, fine of coarse
   List outer_up, outer_down;
+  TransferWeights weights;  // none: equal shares
 
   bool empty() const { return fine_runs.empty(); }
 };
