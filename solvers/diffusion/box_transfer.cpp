@@ -106,7 +106,6 @@ void gather_rows(const RunLevel& level, std::int32_t r, RunRows& rows) {
   // An outer point's row adds to its twin's.
   for (std::int32_t s = level.surface.first_of_run[r]; s < level.surface.first_of_run[r + 1]; ++s) {
     const std::int32_t p = level.surface.twin[s] - run.start;
-    rows.reaction[p] += level.reaction.outer[s];
     for (std::int32_t k = level.surface.start[s]; k < level.surface.start[s + 1]; ++k) {
       const std::int32_t twin = level.surface.twin[level.surface.neighbour[k]];
       const LatticeRun& there = layout.runs[layout.run_of[twin]];
@@ -160,7 +159,9 @@ void set_point(const RunRows& rows, std::int32_t unknown, std::int32_t p, int be
     }
     const bool sound = total[c] > 0 && greatest <= 1.5f * total[c] && sum >= 0;
     // Where light is absorbed on the way less arrives.
-    const float kept = sound && positive > 0 ? sum / ((total[c] + reaction[c]) * positive) : 0.0f;
+    // Where most light is absorbed on the way less arrives; elsewhere constants stay constant.
+    const float arriving = sound && positive > 0 ? sum / (total[c] + reaction[c]) : 0.0f;
+    const float kept = positive > 0 ? (arriving < 0.5f ? arriving : 1.0f) / positive : 0.0f;
     for (int k = 0; k < count; ++k)
       result[k][c] = sound ? kept * std::max(0.0f, weight[k][c]) : 1.0f / static_cast<float>(count);
   }
@@ -263,11 +264,28 @@ void coarsen_elements(const ElementLanes& children, const ParentWeights& weights
         for (int a = 1; a < 8; ++a) sum += w[a][p] * right[a][q];
         parents.coupling[c][pair_number(p, q)] = sum;
       }
+    // As differences, which are zero where nothing is lost.
+    Float16Lanes sum[8], row[8];
+    for (int a = 0; a < 8; ++a) {
+      sum[a] = w[a][0];
+      for (int p = 1; p < 8; ++p) sum[a] += w[a][p];
+      row[a] = Float16Lanes{};
+    }
+    for (int a = 0; a < 8; ++a)
+      for (int b = a + 1; b < 8; ++b) {
+        const Float16Lanes flow = children.coupling[c][pair_number(a, b)] * (sum[a] - sum[b]);
+        row[a] += flow;
+        row[b] -= flow;
+      }
+    for (int p = 0; p < 8; ++p) {
+      parents.absorption[c][p] = w[0][p] * row[0];
+      for (int a = 1; a < 8; ++a) parents.absorption[c][p] += w[a][p] * row[a];
+    }
   }
 }
 
 void add_coarse_boundary(const BoundaryElement& child, const RunLevel& level, std::int32_t cell,
-                         BoundaryElement& parent) {
+                         BoundaryElement& parent, std::array<Float4, 16>& lost) {
   const WeightPlace place(const_cast<RunLevel&>(level));
   Float4 m[16][16], w[8][8] = {};
   const int octant = level.cells.octant[cell];
@@ -296,6 +314,22 @@ void add_coarse_boundary(const BoundaryElement& child, const RunLevel& level, st
       for (int a = 0; a < 8; ++a) sum += w[a][p & 7] * right[(p & 8) + a][q];
       parent.coupling(p, q) += sum;
     }
+  // As differences, which are zero where nothing is lost.
+  Float4 sum[8], row[16] = {};
+  for (int k = 0; k < 8; ++k) {
+    sum[k] = Float4{};
+    for (int p = 0; p < 8; ++p) sum[k] += w[k][p];
+  }
+  for (int a = 0; a < 16; ++a)
+    for (int b = a + 1; b < 16; ++b) {
+      const Float4 flow = child.coupling(a, b) * (sum[a & 7] - sum[b & 7]);
+      row[a] += flow;
+      row[b] -= flow;
+    }
+  for (int p = 0; p < 16; ++p) {
+    lost[p] = Float4{};
+    for (int a = 0; a < 8; ++a) lost[p] += w[a][p & 7] * row[(p & 8) + a];
+  }
 }
 
 }  // namespace shellgrid

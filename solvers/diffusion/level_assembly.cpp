@@ -125,7 +125,8 @@ void load_cells(const FineGrid& fine, const CellCoefficients& coefficients, cons
 }
 
 // The children's part in their parents' elements.
-void coarsen(const RunLevel& level, const ElementLanes& element, std::int32_t first, int count, ElementLanes& parent) {
+void coarsen(const RunLevel& level, const ElementLanes& element, std::int32_t first, int count, ElementLanes& parent,
+             RunLevel* parents) {
   if (!level.transfer.weights) {
     coarsen_elements(element, level.cells.octant.data() + first, count, parent);
     return;
@@ -133,16 +134,31 @@ void coarsen(const RunLevel& level, const ElementLanes& element, std::int32_t fi
   ParentWeights weights;
   load_parent_weights(level, first, count, weights);
   coarsen_elements(element, weights, parent);
+  for (int i = 0; i < count; ++i) {
+    const std::int32_t* corner =
+        parents->cells.corners.data() + 8 * static_cast<std::size_t>(level.cells.parent[first + i]);
+    for (int c = 0; c < 3; ++c)
+      for (int p = 0; p < 8; ++p) parents->reaction.inner[c][corner[p]] += parent.absorption[c][p][i];
+  }
 }
 
 void coarsen_boundary(const RunLevel& level, const BoundaryElement& element, std::int32_t place,
-                      std::vector<BoundaryElement>& coarse) {
+                      std::vector<BoundaryElement>& coarse, RunLevel* parents) {
   const std::int32_t cell = level.cells.boundary[place];
-  BoundaryElement& parent = coarse[level.cells.boundary_parent[place]];
-  if (level.transfer.weights)
-    add_coarse_boundary(element, level, cell, parent);
-  else
+  const std::size_t parent_place = static_cast<std::size_t>(level.cells.boundary_parent[place]);
+  BoundaryElement& parent = coarse[parent_place];
+  if (!level.transfer.weights) {
     add_coarse_boundary(element, level.cells.octant[cell], parent);
+    return;
+  }
+  std::array<Float4, 16> lost;
+  add_coarse_boundary(element, level, cell, parent, lost);
+  for (int p = 0; p < 8; ++p) {
+    const std::int32_t inner = parents->cells.corners[8 * static_cast<std::size_t>(level.cells.parent[cell]) + p];
+    for (int c = 0; c < 3; ++c) parents->reaction.inner[c][inner] += lost[p][c];
+    const std::int32_t outer = parents->cells.outer[8 * parent_place + p];
+    if (outer >= 0) parents->reaction.outer[outer] += lost[p + 8];
+  }
 }
 
 void add_line(float* to, const Float16Lanes& value, int count) {
@@ -155,7 +171,7 @@ void add_line(float* to, const Float16Lanes& value, int count) {
 
 // Adds the elements to the rows, and to the parents' elements; `rows` false: to the parents' alone.
 void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fine, RunLevel& level, bool rows,
-                        CellElements* coarse) {
+                        CellElements* coarse, RunLevel* parents) {
   const RunLayout& layout = level.layout;
   const float* const plane[3] = {fine.position[0], fine.position[1], fine.position[2]};
   for_slabs(fine.slab_start, [&](std::int32_t first_run, std::int32_t last_run) {
@@ -193,7 +209,7 @@ void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fi
             }
         }
         if (!coarse) continue;
-        coarsen(level, element, first_cell, count, parent);
+        coarsen(level, element, first_cell, count, parent, parents);
         if (run.regular)
           add_to_line_of_parents(parent, level.cells.parent[first_cell], (run.x + at) & 1, count, *coarse);
         else
@@ -203,7 +219,8 @@ void assemble_fine_core(const CellCoefficients& coefficients, const FineGrid& fi
   });
 }
 
-void assemble_coarse_core(const CellElements& elements, RunLevel& level, bool rows, CellElements* coarse) {
+void assemble_coarse_core(const CellElements& elements, RunLevel& level, bool rows, CellElements* coarse,
+                          RunLevel* parents) {
   for_slabs(level.cells.slab_start, [&](std::int32_t first, std::int32_t last) {
     ElementLanes element, parent;
     for (std::int32_t cell = first; cell < last; cell += 16) {
@@ -218,7 +235,7 @@ void assemble_coarse_core(const CellElements& elements, RunLevel& level, bool ro
             add_coupling(level, cell + i, a, b, value);
           }
       if (!coarse) continue;
-      coarsen(level, element, cell, count, parent);
+      coarsen(level, element, cell, count, parent, parents);
       add_to_parents(parent, level.cells.parent.data() + cell, count, *coarse);
     }
   });
@@ -368,7 +385,8 @@ void add_boundary_element(const BoundaryElement& element, std::size_t place, Run
 
 // The thin layer's elements, one core cell's at a time.
 void assemble_layer(const Polygrid& polygrid, const CellCoefficients& coefficients, const FineGrid& fine,
-                    RunLevel& level, bool rows, SurfaceTerms& terms, std::vector<BoundaryElement>* coarse) {
+                    RunLevel& level, bool rows, SurfaceTerms& terms, std::vector<BoundaryElement>* coarse,
+                    RunLevel* parents) {
   std::vector<std::int32_t> first(level.cells.boundary.size() + 1, 0);
   for (std::int32_t place : fine.layer_boundary) ++first[place + 1];
   for (std::size_t k = 1; k < first.size(); ++k) first[k] += first[k - 1];
@@ -388,17 +406,17 @@ void assemble_layer(const Polygrid& polygrid, const CellCoefficients& coefficien
         terms.absorption[level.cells.outer[8 * place + a]] += absorption[a + 8];
       }
       if (rows) add_boundary_element(element, place, level);
-      if (coarse) coarsen_boundary(level, element, place, *coarse);
+      if (coarse) coarsen_boundary(level, element, place, *coarse, parents);
     }
   });
 }
 
 void add_boundary(const std::vector<BoundaryElement>& elements, RunLevel& level, bool rows,
-                  std::vector<BoundaryElement>* coarse) {
+                  std::vector<BoundaryElement>* coarse, RunLevel* parents) {
   for_slabs(level.cells.boundary_slab_start, [&](std::int32_t begin, std::int32_t end) {
     for (std::int32_t place = begin; place < end; ++place) {
       if (rows) add_boundary_element(elements[place], place, level);
-      if (coarse) coarsen_boundary(level, elements[place], place, *coarse);
+      if (coarse) coarsen_boundary(level, elements[place], place, *coarse, parents);
     }
   });
 }
@@ -534,6 +552,14 @@ void store_half(RunLevel& level, const Float4* ratio) {
   level.half.surface_factor = Float4{1, 1, 1, 1} / surface_scale;
 }
 
+// Where weights do not add up to one, couplings lose light, too. What would gain some is left out: the operator grows,
+// and stays positive definite.
+void drop_gains(LevelVector<float>& reaction, std::size_t inner) {
+  for (int c = 0; c < 3; ++c)
+    for (std::size_t u = 0; u < inner; ++u) reaction.inner[c][u] = std::max(0.0f, reaction.inner[c][u]);
+  for (Float4& value : reaction.outer) value = value > 0 ? value : Float4{};
+}
+
 // The coarse level's reaction and links: the sums of the Galerkin products' rows.
 void restrict_terms(RunLevel& level, RunLevel& coarse) {
   coarse.link.resize(coarse.surface.size());
@@ -542,12 +568,14 @@ void restrict_terms(RunLevel& level, RunLevel& coarse) {
     restrict_outer_vector(level, level.link, coarse.link);
     return;
   }
-  // Where weights do not add up to one, couplings lose light, too.
   LevelVector<float>&ones = coarse.before, &sums = level.before, &image = level.right_side;
   for (int c = 0; c < 3; ++c) std::fill(ones.inner[c], ones.inner[c] + coarse.inner_size(), 1.0f);
   std::fill(ones.outer.begin(), ones.outer.end(), Float4{1, 1, 1, 1});
   prolong_vector(level, ones, sums, false);
-  apply_level(level, sums, image);
+  for (int c = 0; c < 3; ++c)
+    for (std::size_t u = 0; u < level.inner_size(); ++u)
+      image.inner[c][u] = level.reaction.inner[c][u] * sums.inner[c][u];
+  for (std::size_t s = 0; s < image.outer.size(); ++s) image.outer[s] = level.reaction.outer[s] * sums.outer[s];
   restrict_vector(level, image, coarse.layout, coarse.reaction);
   for (std::size_t s = 0; s < image.outer.size(); ++s) image.outer[s] = level.link[s] * sums.outer[s];
   restrict_outer_vector(level, image.outer, coarse.link);
@@ -588,6 +616,7 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
     const bool has_coarse = l + 1 < levels.size();
     if (has_coarse) coarse_elements = CellElements(levels[l + 1].cells);
     CellElements* coarse = has_coarse ? &coarse_elements : nullptr;
+    RunLevel* const parents = has_coarse ? &levels[l + 1] : nullptr;
     level.transfer.weights.values = {};
     const bool box = options.box_transfer && has_coarse;
     // Where the transfer follows the couplings these come first, and the coarse elements in a second pass.
@@ -597,22 +626,27 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
       if (l == 0) {
         for (int c = 0; c < 3 && rows; ++c)
           std::fill(level.reaction.inner[c], level.reaction.inner[c] + level.inner_size(), 0.0f);
-        assemble_fine_core(coefficients, fine, level, rows, to);
-        assemble_layer(polygrid, coefficients, fine, level, rows, terms, to ? &to->boundary : nullptr);
+        assemble_fine_core(coefficients, fine, level, rows, to, parents);
+        assemble_layer(polygrid, coefficients, fine, level, rows, terms, to ? &to->boundary : nullptr, parents);
         for (std::size_t s = 0; s < terms.area.size() && rows; ++s)
           level.reaction.outer[s] =
               terms.absorption[s] +
               static_cast<float>(terms.area[s] / (2 * options.boundary_factor)) * Float4{1, 1, 1, 0};  // PHYSICS D2
       } else {
-        assemble_coarse_core(elements, level, rows, to);
-        add_boundary(boundary, level, rows, to ? &to->boundary : nullptr);
+        assemble_coarse_core(elements, level, rows, to, parents);
+        add_boundary(boundary, level, rows, to ? &to->boundary : nullptr, parents);
       }
-      if (box && rows) set_box_weights(level);
+      if (!box || !rows) continue;
+      set_box_weights(level);
+      restrict_terms(level, levels[l + 1]);
     }
     elements = std::move(coarse_elements);
     boundary = std::move(elements.boundary);
     store_half(level, one_copy ? &ratio : nullptr);
-    if (has_coarse) restrict_terms(level, levels[l + 1]);
+    if (box)
+      drop_gains(levels[l + 1].reaction, levels[l + 1].inner_size());
+    else if (has_coarse)
+      restrict_terms(level, levels[l + 1]);
     prepare_smoother(level);
     if (!options.keep_single && level.single.values.size() * sizeof(float) > largest_kept) level.single = {};
   }
