@@ -10,6 +10,7 @@
 #include "meshing/core/error.h"
 #include "solvers/diffusion/boundary_irradiance.h"
 #include "solvers/diffusion/cell_coefficients.h"
+#include "solvers/diffusion/crease_split.h"
 #include "solvers/diffusion/paper_operator.h"
 #include "solvers/diffusion/surface_transfer.h"
 #include "solvers/render/scene_geometry.h"
@@ -261,11 +262,12 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   for (const Light& light : lights)
     if (const std::optional<Vec3> place = light_position(light); place && geometry.contains(*place))
       throw InputError("lights: a light stands inside the object");
-  SurfaceIrradiance irradiance = surface_irradiance(surface, geometry, lights, ior, options.environment_samples);
+  const CreaseSplit split(surface);
+  SurfaceIrradiance irradiance = surface_irradiance(split.mesh(), geometry, lights, ior, options.environment_samples);
   result.light_directions = irradiance.directions;
   result.light_facing_away = irradiance.facing_away;
   result.light_occluded = irradiance.occluded;
-  const SurfaceTransfer transfer(polygrid, surface);
+  const SurfaceTransfer transfer(polygrid, split.mesh(), &split.places());
   result.largest_distance = transfer.largest_distance();
   progress.end();
 
@@ -277,7 +279,8 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
 
   if (beams) {
     progress.begin("beams", 1);
-    result.beams = first_collision_source(polygrid, coefficients, surface, geometry, lights, ior, options.beam_samples);
+    result.beams =
+        first_collision_source(polygrid, coefficients, split.mesh(), geometry, lights, ior, options.beam_samples);
     progress.end();
   }
 
@@ -292,15 +295,15 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   result.fluence = std::move(fields.fluence);
   judge_material(polygrid, coefficients, result, progress);
 
-  result.exitance = transfer.to_vertices(fields.exitance);
+  result.exitance = split.merge(transfer.to_vertices(fields.exitance));
+  result.irradiance = split.merge(irradiance.values);
   for (const Rgb& value : result.exitance) {
     result.negative_vertices += (value < 0).any();
     result.least_exitance = std::min<double>(result.least_exitance, value.minCoeff());
   }
-  result.surface_entering = surface_integral(surface, irradiance.values);
+  result.surface_entering = surface_integral(surface, result.irradiance);
   result.surface_leaving = surface_integral(surface, result.exitance);
   judge_solution(polygrid, options, result, progress);
-  result.irradiance = std::move(irradiance.values);
   return result;
 }
 

@@ -58,7 +58,8 @@ void nearest_in_quad(const Quad& quad, const Vec3& point, double& s, double& t) 
 
 }  // namespace
 
-SurfaceTransfer::SurfaceTransfer(const Polygrid& polygrid, const TriangleMesh& surface) : polygrid_(polygrid) {
+SurfaceTransfer::SurfaceTransfer(const Polygrid& polygrid, const TriangleMesh& surface, const VertexMatrix* places)
+    : polygrid_(polygrid) {
   const Eigen::Index quads = polygrid.boundary_quads.rows();
   if (quads == 0) throw InputError("polygrid: it has no boundary quads");
   if (surface.face_count() == 0) throw InputError("surface: it has no faces");
@@ -102,7 +103,7 @@ SurfaceTransfer::SurfaceTransfer(const Polygrid& polygrid, const TriangleMesh& s
   parallel_for(
       locations_.size(),
       [&](std::size_t v) {
-        const Vec3 point = surface.vertex(static_cast<int>(v));
+        const Vec3 point = (places ? *places : surface.vertices).row(static_cast<Eigen::Index>(v)).transpose();
         const SurfacePoint nearest = quad_query.nearest(point);
         VertexLocation& location = locations_[v];
         location.quad = nearest.face_index / 2;

@@ -12,8 +12,9 @@ namespace shellgrid {
 
 class SurfaceTransfer {
  public:
-  // Throws: InputError where the polygrid has no boundary quads or the mesh no faces.
-  SurfaceTransfer(const Polygrid& polygrid, const TriangleMesh& surface);
+  // `places`: where to_vertices reads for each vertex, n×3, mm; none: at the vertices. Throws: InputError where the
+  // polygrid has no boundary quads or the mesh no faces.
+  SurfaceTransfer(const Polygrid& polygrid, const TriangleMesh& surface, const VertexMatrix* places = nullptr);
 
   // Mean of a vertex field over each outer point's hat function, by 3×3 samples a quad that read the mesh at
   // their nearest points; zero at other points. A constant stays that constant.
