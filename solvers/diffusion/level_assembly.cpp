@@ -541,11 +541,10 @@ void store_half(RunLevel& level, const Float4* ratio) {
   parallel_for(
       level.half.surface.size(),
       [&](std::size_t k) {
-        for (int c = 0; c < 4; ++c) {
+        for (int c = 0; c < 3; ++c) {
           level.half.surface[k].outer_outer[c] = to_half(surface_scale * level.single.surface[k].outer_outer[c]);
           level.half.surface[k].twin_outer[c] = to_half(surface_scale * level.single.surface[k].twin_outer[c]);
           level.half.surface[k].outer_twin[c] = to_half(surface_scale * level.single.surface[k].outer_twin[c]);
-          level.half.surface[k].unused[c] = Half{0};
         }
       },
       4096);

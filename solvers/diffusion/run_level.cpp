@@ -168,15 +168,29 @@ using Lanes4 = typename RealLanes4<Real>::Type;
 
 inline Float4 widen(Float4 a, Float4) { return a; }
 inline Double4 widen(Float4 a, Double4) { return to_double(a); }
-inline Float4 read4(const float* from) { return load_lanes<Float4>(from); }
-inline Float4 read4(const Half* from) {
-#if defined(__F16C__)
-  return reinterpret_cast<Float4>(_mm_cvtph_ps(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
+inline float widen(float value) { return value; }
+inline float widen(Half value) {
+  Half padded[16] = {value};
+  return ReadLanes<float>::read(padded)[0];
+}
+template <class Store>
+Float4 read3(const Store* from) {
+  return Float4{widen(from[0]), widen(from[1]), widen(from[2]), 0};
+}
+
+// Nine couplings of a pair, and zeros.
+inline Float16Lanes read_pair(const SurfaceCoupling<float>& pair) {
+  float padded[16] = {};
+  std::memcpy(padded, &pair, sizeof pair);
+  return load_lanes<Float16Lanes>(padded);
+}
+inline Float16Lanes read_pair(const SurfaceCoupling<Half>& pair) {
+#if defined(__AVX512BW__) && defined(__AVX512VL__)
+  return reinterpret_cast<Float16Lanes>(_mm512_cvtph_ps(_mm256_maskz_loadu_epi16(0x1ff, &pair)));
 #else
   Half padded[16] = {};
-  std::memcpy(padded, from, 4 * sizeof(Half));
-  const Float16Lanes wide = ReadLanes<float>::read(padded);
-  return Float4{wide[0], wide[1], wide[2], wide[3]};
+  std::memcpy(padded, &pair, sizeof pair);
+  return ReadLanes<float>::read(padded);
 #endif
 }
 
@@ -205,9 +219,9 @@ void couple_pairs(const SurfaceLayout& surface, const SurfaceCoupling<Store>* co
   for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
     const auto& there = pair[surface.neighbour[k]];
     const SurfaceCoupling<Store>& a = couplings[k];
-    outer_sum += to_double(read4(a.outer_outer)) * (outer - there.outer);
-    outer_sum += to_double(read4(a.outer_twin)) * (outer - there.twin);
-    twin_sum += to_double(read4(a.twin_outer)) * (twin - there.outer);
+    outer_sum += to_double(read3(a.outer_outer)) * (outer - there.outer);
+    outer_sum += to_double(read3(a.outer_twin)) * (outer - there.twin);
+    twin_sum += to_double(read3(a.twin_outer)) * (twin - there.outer);
   }
 }
 
@@ -215,20 +229,20 @@ template <class Store>
 void couple_pairs(const SurfaceLayout& surface, const SurfaceCoupling<Store>* couplings,
                   const std::vector<SurfaceLosses<float>::Pair>& pair, std::size_t s, Float4& outer_sum,
                   Float4& twin_sum) {
-  // Outer with outer, twin with outer, outer with twin, nothing.
+  // Outer with outer, twin with outer, outer with twin, nothing: a pair's lane 3 is zero.
   using Eight = float __attribute__((vector_size(32)));
   const Eight here = load_lanes<Eight>(&pair[s]);
-  const Float16Lanes centre = __builtin_shufflevector(here, here, 0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7);
+  const Float16Lanes centre = __builtin_shufflevector(here, here, 0, 1, 2, 4, 5, 6, 0, 1, 2, 3, 3, 3, 3, 3, 3, 3);
   Float16Lanes sum = {};
   for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
-    __builtin_prefetch(couplings + k + 48);
+    __builtin_prefetch(couplings + k + 64);
     const Eight there = load_lanes<Eight>(&pair[surface.neighbour[k]]);
     const Float16Lanes neighbour =
-        __builtin_shufflevector(there, there, 0, 1, 2, 3, 0, 1, 2, 3, 4, 5, 6, 7, 4, 5, 6, 7);
-    sum += ReadLanes<float>::read(couplings[k].outer_outer) * (centre - neighbour);
+        __builtin_shufflevector(there, there, 0, 1, 2, 0, 1, 2, 4, 5, 6, 3, 3, 3, 3, 3, 3, 3);
+    sum += read_pair(couplings[k]) * (centre - neighbour);
   }
-  for (int c = 0; c < 4; ++c) outer_sum[c] = sum[c] + sum[8 + c];
-  for (int c = 0; c < 4; ++c) twin_sum[c] = sum[4 + c];
+  for (int c = 0; c < 3; ++c) outer_sum[c] = sum[c] + sum[6 + c];
+  for (int c = 0; c < 3; ++c) twin_sum[c] = sum[3 + c];
 }
 
 template <class Real, class Store>
@@ -399,9 +413,9 @@ void prepare_smoother(RunLevel& level, const LevelCouplings<Store>& couplings) {
   for_outer(n, [&](std::size_t s) {
     Float4 outer = {}, outer_size = {}, twin = {}, twin_size = {};
     for (std::int32_t k = surface.start[s]; k < surface.start[s + 1]; ++k) {
-      const Float4 a = couplings.surface_factor * read4(couplings.surface[k].outer_outer),
-                   b = couplings.surface_factor * read4(couplings.surface[k].outer_twin),
-                   c = couplings.surface_factor * read4(couplings.surface[k].twin_outer);
+      const Float4 a = couplings.surface_factor * read3(couplings.surface[k].outer_outer),
+                   b = couplings.surface_factor * read3(couplings.surface[k].outer_twin),
+                   c = couplings.surface_factor * read3(couplings.surface[k].twin_outer);
       outer += a + b;
       outer_size += absolute(a) + absolute(b);
       twin += c;

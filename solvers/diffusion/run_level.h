@@ -61,7 +61,7 @@ struct SurfaceLayout {
 // Of a pair of neighbours s, t: outer with outer, twin of s with outer t, outer s with twin of t.
 template <class Store>
 struct SurfaceCoupling {
-  Store outer_outer[4], twin_outer[4], outer_twin[4], unused[4];
+  Store outer_outer[3], twin_outer[3], outer_twin[3];
 };
 
 // A symmetric operator (A x)_i = reaction_i x_i + Σ_j coupling_ij (x_i − x_j) on a level.
