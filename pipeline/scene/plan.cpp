@@ -364,6 +364,8 @@ Plan make_plan(const std::string& scene_path) {
   need(scene.camera.has_value(), "camera");
   need(document.root.contains("lights"), "lights");
   if (scene.lights.empty()) throw InputError(scene_path + ": lights: is empty; expected one or more");
+  if (scene.method.operator_name == "paper" && scene.method.source == "first-collision")
+    throw InputError(scene_path + ": method.source: first-collision: only the operator elements takes it");
 
   std::optional<PlacedMesh> mesh;
   if (scene.object->size == 0) mesh.emplace(*scene.object);

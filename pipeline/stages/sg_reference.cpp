@@ -329,6 +329,19 @@ int main(int argc, char** argv) {
       throw UsageError("--channels-apart: only light paths (.ply) take it");
     if (!tallies && inputs.surface.empty())
       throw UsageError(inputs.scene.empty() ? "missing scene.json surface.ply, or --tally" : "missing surface.ply");
+    if (!campaign.state_path.empty()) {
+      const std::filesystem::path output = run.output();
+      std::filesystem::path picture = output;
+      std::vector<std::filesystem::path> others = {output, output.string() + ".json",
+                                                   picture.replace_extension(".png")};
+      for (const std::string* input : {&inputs.scene, &inputs.surface, &inputs.shell})
+        if (!input->empty()) others.emplace_back(*input);
+      std::error_code error;
+      for (const std::filesystem::path& other : others)
+        if (std::filesystem::weakly_canonical(campaign.state_path, error) ==
+            std::filesystem::weakly_canonical(other, error))
+          throw UsageError("--state " + campaign.state_path + ": is the name of another output or an input");
+    }
     PathLimits& limits = campaign.limits;
     const bool limited = limits.paths > 0 || limits.seconds > 0 || limits.target_error > 0;
     if (!limited) limits.paths = 1e6;

@@ -57,6 +57,15 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
   result.expected_error = expected_diffusion_error(result.regime, result.beams.has_value());
   Eigen::Array<bool, 3, 1> lit;
   for (int c = 0; c < 3; ++c) lit[c] = result.energy.entering[c] > 0;
+  if (result.beams) {
+    const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(count / 2);
+    std::nth_element(reaches.begin(), middle, reaches.end());
+    if (*middle > 3)
+      throw NumericalError(
+          fmt::format("in most of the object a cell is {:.3g} times as wide as light reaches: less would leave than "
+                      "does; try more nodes (method.nodes), a smaller object or a higher albedo, or sg-reference",
+                      *middle));
+  }
   if (result.under_resolved > 0.01) {
     const auto rank = reaches.begin() + static_cast<std::ptrdiff_t>(0.99 * static_cast<double>(count - 1));
     std::nth_element(reaches.begin(), rank, reaches.end());
@@ -269,6 +278,10 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   result.light_occluded = irradiance.occluded;
   const SurfaceTransfer transfer(polygrid, split.mesh(), &split.places());
   result.largest_distance = transfer.largest_distance();
+  const double size = (surface.vertices.colwise().maxCoeff() - surface.vertices.colwise().minCoeff()).norm();
+  if (result.largest_distance > std::max(0.1 * size, 10 * polygrid.spacing))
+    throw InputError(fmt::format("polygrid: the surface is another object's: it lies up to {:.3g} mm away",
+                                 result.largest_distance));
   progress.end();
 
   progress.begin("system", 1);

@@ -15,6 +15,7 @@ namespace {
 constexpr std::uint64_t chunk_paths = 256, round_chunks = 64, round_paths = chunk_paths * round_chunks;
 constexpr long progress_steps = 1000;
 constexpr double checkpoint_seconds = 60;
+constexpr std::uint64_t dark_paths = 500000;  // of which none brings light: there is none to wait for
 
 // The first number of rounds after `rounds` at which the error is judged: they grow by an eighth.
 std::uint64_t next_judgement(std::uint64_t rounds) {
@@ -108,7 +109,9 @@ PathEnd follow_paths(const PathKind& kind, const PathLimits& limits, PathState& 
       const std::uint64_t rounds = state.paths / round_paths;
       if (next_judgement(rounds - 1) == rounds) {
         error = kind.relative_error(state);
-        if (error > 0 && error <= limits.target_error) {
+        const bool dark = error == 0 && state.paths >= dark_paths;
+        if (dark) progress.warn("no light has come back after " + std::to_string(state.paths) + " paths");
+        if (dark || (error > 0 && error <= limits.target_error)) {
           end = PathEnd::target_error;
           break;
         }

@@ -206,6 +206,14 @@ class Diffuse(unittest.TestCase):
         self.refused(3, scene=self.variant("no-core.json", material={"shell": {"sample": "x.json"}, "core": "bottom-layer"}))
         self.refused(3, "--source", "first-collision", "--operator", "paper", words="first-collision")
 
+    def test_a_surface_of_another_object(self):
+        programs.write_off(type(self).at("far.off"), programs.icosphere(3, 25.0))
+        self.refused(3, surface="far.off", words="another object")
+
+    def test_no_picture_where_cells_are_far_wider_than_lights_reach(self):
+        black = self.variant("black.json", material={"core": {"absorption": 1e4, "scattering": 1e4}})
+        self.refused(4, "--source", "first-collision", scene=black, words="times as wide")
+
     def test_a_damaged_polygrid(self):
         with open(type(self).at("polygrid.hdf"), "rb") as file:
             data = file.read()

@@ -131,7 +131,16 @@ class LightTracing(Reference):
         self.assertLess(results["relative_standard_error"], 0.2)
         self.assertGreater(results["relative_standard_error"], 0.15)
 
+    def test_a_target_error_without_light_ends(self):
+        programs.write_json(type(self).at("away.json"), programs.scene(lights=[
+            {"type": "area", "position": [0, 30, 0], "direction": [0, 1, 0], "width": 1, "height": 1, "radiance": 1}]))
+        done = self.trace("away", "--target-error", "0.1", scene="away.json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("no light has come back", done.stderr)
+
     def test_bad_states_are_refused(self):
+        for name in ("refused.ply", "refused.ply.json", "scene.json"):
+            self.refused(2, "scene.json", "ball.off", "-o", "refused.ply", "--paths", "10", "--state", name, words=name)
         self.assertEqual(self.trace("kept", "--paths", "100", "--state", "kept.state").returncode, 0)
         state = self.bytes_of("kept.state")
         self.refused(3, "scene.json", "ball.off", "-o", "refused.ply", "--state", "kept.state", "--seed", "3",
