@@ -69,11 +69,13 @@ TEST(DiffusionSourcesStress, OperatorsAndSources) {
           } catch (const std::runtime_error& refusal) {
             ++refused;
             std::printf("%s: refused: %s\n", what, refusal.what());
-            // Elements refuse only what is too dark for light that is diffuse at once; the paper's operator takes no
-            // beams.
+            // Elements refuse only what is too dark for light that is diffuse at once, and beams where cells are far
+            // wider than light reaches; the paper's operator takes no beams.
             const std::string said = refusal.what();
             if (elements)
-              EXPECT_TRUE(k.lost >= 0.5 && said.find("less than no light leaves") == 0) << said;
+              EXPECT_TRUE((k.lost >= 0.5 && said.find("less than no light leaves") == 0) ||
+                          (k.paths >= 200 && said.find("times as wide as light reaches") != std::string::npos))
+                  << said;
             else
               EXPECT_TRUE(k.lost >= 0.5 || said.find("source first-collision") == 0) << said;
           }
