@@ -639,10 +639,11 @@ void prolong_by_weights(const RunLevel& level, std::size_t r, const LevelVector<
     }
     float* to = fine.inner[c] + run.start;
     const int first = run.x & 1;
-    for (std::int32_t p = 0; p < run.length; ++p) {
-      const float value = ((p + first) & 1 ? odd : even)[(p + first) / 2];
-      to[p] = add ? to[p] + value : value;
-    }
+    // Of the line's place X the points 2 X and 2 X + 1, which stand at 2 X − first and one further.
+    for (std::int32_t X = first; 2 * X - first < run.length; ++X)
+      to[2 * X - first] = add ? to[2 * X - first] + even[X] : even[X];
+    for (std::int32_t X = 0; 2 * X + 1 - first < run.length; ++X)
+      to[2 * X + 1 - first] = add ? to[2 * X + 1 - first] + odd[X] : odd[X];
   }
 }
 
