@@ -12,29 +12,11 @@
 #include "meshing/core/parallel.h"
 #include "meshing/core/random.h"
 #include "synthesis/periodic_noise.h"
+#include "synthesis/procedural_patterns.h"
+#include "synthesis/sample_builder.h"
 
 namespace shellgrid {
 namespace {
-
-double smooth_step(double x) {
-  x = std::clamp(x, 0.0, 1.0);
-  return x * x * (3 - 2 * x);
-}
-
-// Mixes so that equal steps of `share` are equal ratios of absorption: vein edges fade like stains do.
-Material mix(const Material& a, const Material& b, double share) {
-  const float w = static_cast<float>(share);
-  const Rgb least = Rgb::Constant(1e-6f);
-  const Rgb absorption = (a.absorption().max(least).log() * (1 - w) + b.absorption().max(least).log() * w).exp();
-  const Rgb scattering = a.scattering() * (1 - w) + b.scattering() * w;
-  return Material::from_absorption_scattering(absorption, scattering, a.anisotropy * (1 - w) + b.anisotropy * w);
-}
-
-void store(MaterialSample& sample, std::size_t index, const Material& material) {
-  sample.extinction[index] = material.extinction.matrix();
-  sample.albedo[index] = material.albedo.matrix();
-  sample.anisotropy[index] = material.anisotropy.matrix();
-}
 
 // Voxels below the top.
 double bump_center_depth(const BumpsPattern& pattern, double voxel) { return pattern.radius / voxel + 0.25; }
@@ -42,53 +24,7 @@ double bump_ground(const BumpsPattern& pattern, double voxel) {
   return bump_center_depth(pattern, voxel) + pattern.lift * pattern.radius / voxel;
 }
 
-MaterialSample allocate(const SampleDefinition& definition) {
-  MaterialSample sample;
-  sample.size = procedural_sample_size(definition);
-  sample.voxel = definition.voxel;
-  sample.ior = definition.ior;
-  const std::size_t count = sample.voxel_count();
-  sample.extinction.assign(count, Vec3f::Zero());
-  sample.albedo.assign(count, Vec3f::Zero());
-  sample.anisotropy.assign(count, Vec3f::Zero());
-  sample.normal.assign(count, Vec3f::Zero());
-  sample.kind.assign(count, VoxelKind::interior);
-  return sample;
-}
-
-// Calls body(index, centre) for each voxel; the centre is in voxels.
-template <class Body>
-void for_each_voxel(const MaterialSample& sample, const Body& body) {
-  const int nx = sample.size.x(), ny = sample.size.y();
-  parallel_for(
-      sample.voxel_count(),
-      [&](std::size_t index) {
-        const int x = static_cast<int>(index % nx), y = static_cast<int>(index / nx % ny);
-        const int z = static_cast<int>(index / nx / ny);
-        body(index, Vec3(x + 0.5, y + 0.5, z + 0.5));
-      },
-      64);
-}
-
-// Points spread over the torus [0, n_x)×[0, n_y) so that each is far from the earlier ones (best of many candidates).
-std::vector<Vec2> spread_points(int count, double nx, double ny, std::uint64_t seed) {
-  std::vector<Vec2> points;
-  RandomStream random(seed, 77);
-  const auto wrapped = [](double d, double n) { return d - n * std::round(d / n); };
-  for (int i = 0; i < count; ++i) {
-    Vec2 best = Vec2::Zero();
-    double best_distance = -1;
-    for (int trial = 0; trial < 20; ++trial) {
-      const double x = random.next() * nx, y = random.next() * ny;
-      double nearest = 1e300;
-      for (const Vec2& point : points)
-        nearest = std::min(nearest, std::hypot(wrapped(point.x() - x, nx), wrapped(point.y() - y, ny)));
-      if (nearest > best_distance) best_distance = nearest, best = Vec2(x, y);
-    }
-    points.push_back(best);
-  }
-  return points;
-}
+}  // namespace
 
 void fill(MaterialSample& sample, const MarblePattern& pattern, const SampleDefinition& definition) {
   const PeriodicNoise noise(sample.size.x(), sample.size.y(), definition.seed);
@@ -136,7 +72,7 @@ void fill(MaterialSample& sample, const MarblePattern& pattern, const SampleDefi
     const double grain = 1 + 0.08 * noise.fractal(p, sample.size.x() / 4, 1, 2);
     body = Material::from_absorption_scattering(body.absorption() * static_cast<float>(std::exp(cloud)),
                                                 body.scattering() * static_cast<float>(grain), body.anisotropy);
-    store(sample, index, mix(body, pattern.vein, 1 - remaining));
+    store_material(sample, index, mix_like_stains(body, pattern.vein, 1 - remaining));
   });
 }
 
@@ -157,7 +93,7 @@ void fill(MaterialSample& sample, const SpotsPattern& pattern, const SampleDefin
       dx -= nx * std::round(dx / nx), dy -= ny * std::round(dy / ny);
       inside = std::max(inside, radius[i] - Vec3(dx, dy, p.z() - depth[i]).norm());
     }
-    store(sample, index, mix(pattern.body, pattern.spot, smooth_step(inside / softness + 0.5)));
+    store_material(sample, index, mix_like_stains(pattern.body, pattern.spot, smooth_step(inside / softness + 0.5)));
   });
 }
 
@@ -170,9 +106,9 @@ void fill(MaterialSample& sample, const LayersPattern& pattern, const SampleDefi
     for (std::size_t layer = 0; layer + 1 < pattern.layers.size(); ++layer) {
       bottom += pattern.layers[layer].thickness;
       const double below = (p.z() * sample.voxel - bottom) / sample.voxel;  // voxels below the interface
-      material = mix(material, pattern.layers[layer + 1].material, smooth_step(below + 0.5));
+      material = mix_like_stains(material, pattern.layers[layer + 1].material, smooth_step(below + 0.5));
     }
-    store(sample, index, material);
+    store_material(sample, index, material);
   });
 }
 
@@ -199,44 +135,12 @@ void fill(MaterialSample& sample, const BumpsPattern& pattern, const SampleDefin
     if (std::min({ball, stem, below_ground}) > 0)
       sample.kind[index] = VoxelKind::free_space;
     else
-      store(sample, index, ball <= 0 || stem <= 0 ? pattern.bump : pattern.body);
+      store_material(sample, index, ball <= 0 || stem <= 0 ? pattern.bump : pattern.body);
   });
   mark_surface(sample, &outward);
 }
 
-}  // namespace
-
-void mark_surface(MaterialSample& sample, const std::vector<Vec3f>* outward) {
-  const int nx = sample.size.x(), ny = sample.size.y(), nz = sample.size.z();
-  const auto is_free = [&](int x, int y, int z) {
-    if (z < 0) return true;
-    if (z >= nz) return false;
-    return sample.kind[sample.index((x + nx) % nx, (y + ny) % ny, z)] == VoxelKind::free_space;
-  };
-  const Vec3i steps[6] = {{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}};
-  std::vector<std::size_t> surface;
-  for (int z = 0; z < nz; ++z)
-    for (int y = 0; y < ny; ++y)
-      for (int x = 0; x < nx; ++x) {
-        const std::size_t index = sample.index(x, y, z);
-        sample.normal[index].setZero();
-        if (is_free(x, y, z)) continue;
-        if (std::none_of(steps, steps + 6, [&](const Vec3i& d) { return is_free(x + d.x(), y + d.y(), z + d.z()); }))
-          continue;
-        surface.push_back(index);
-        Vec3f normal = Vec3f::Zero();
-        if (outward)
-          normal = (*outward)[index];
-        else
-          for (int dz = -2; dz <= 2; ++dz)
-            for (int dy = -2; dy <= 2; ++dy)
-              for (int dx = -2; dx <= 2; ++dx)
-                if (is_free(x + dx, y + dy, z + dz))
-                  normal += Vec3f(dx, dy, dz) / std::max(1, dx * dx + dy * dy + dz * dz);
-        sample.normal[index] = normal.norm() > 1e-6f ? normal.normalized() : Vec3f(0, 0, -1);
-      }
-  for (std::size_t index : surface) sample.kind[index] = VoxelKind::surface;
-}
+double needed_depth(const BumpsPattern& pattern, double voxel) { return bump_ground(pattern, voxel) * voxel; }
 
 Vec3i procedural_sample_size(const SampleDefinition& definition) {
   const double depth = std::ceil(definition.thickness / definition.voxel - 1e-6);
@@ -246,23 +150,23 @@ Vec3i procedural_sample_size(const SampleDefinition& definition) {
     throw InputError(
         fmt::format("a thickness of {:.6g} mm and voxels of {:.6g} mm make {:.6g} layers; expected 1 to 512",
                     definition.thickness, definition.voxel, depth));
-  if (const auto* bumps = std::get_if<BumpsPattern>(&definition.pattern)) {
-    const double needed = std::ceil(bump_ground(*bumps, definition.voxel) + 1);
-    if (needed > depth)
-      throw InputError(fmt::format(
-          "bumps reach {:.4g} mm deep, the thickness is only {:.4g} mm; make it at least "
-          "{:.4g} mm, or the bumps' radius or lift smaller",
-          bump_ground(*bumps, definition.voxel) * definition.voxel, definition.thickness, needed * definition.voxel));
-  }
+  const double needed =
+      std::visit([&](const auto& pattern) { return needed_depth(pattern, definition.voxel); }, definition.pattern);
+  const double layers = std::ceil(needed / definition.voxel + 1);
+  if (needed > 0 && layers > depth)
+    throw InputError(
+        fmt::format("the surface's relief reaches {:.4g} mm deep, the thickness is only {:.4g} mm; make it at least "
+                    "{:.4g} mm, or the relief lower",
+                    needed, definition.thickness, layers * definition.voxel));
   return {definition.width, definition.height, static_cast<int>(depth)};
 }
 
 MaterialSample make_procedural_sample(const SampleDefinition& definition) {
-  MaterialSample sample = allocate(definition);
+  MaterialSample sample = allocate_sample(procedural_sample_size(definition), definition.voxel, definition.ior);
   std::visit(
       [&](const auto& pattern) {
         fill(sample, pattern, definition);
-        if constexpr (!std::is_same_v<std::decay_t<decltype(pattern)>, BumpsPattern>) mark_surface(sample);
+        if (needed_depth(pattern, definition.voxel) == 0) mark_surface(sample);
       },
       definition.pattern);
   return sample;

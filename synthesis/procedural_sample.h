@@ -51,7 +51,47 @@ struct BumpsPattern {
   double lift = 0.5;  // height of a ball's centre above the ground, in radii
 };
 
-using SamplePattern = std::variant<MarblePattern, SpotsPattern, LayersPattern, BumpsPattern>;
+// Growth rings about a pith along x, cut lengthwise (a board): the pith lies below or above the top in the middle of y.
+struct WoodPattern {
+  Material body, ring;      // of early and of late wood
+  double ring_width = 3;    // mm
+  double pith_depth = 12;   // of the pith below the top, mm; negative: above it
+  double waviness = 1;      // amplitude by which rings deviate, mm
+  double fibre_length = 8;  // of the fibres along x, mm
+  double fibres = 0.5;      // absorption runs over factors e^±fibres from fibre to fibre
+  double pores = 0.03;      // share of the early wood's cross-section in dark vessels along the fibres, 0 … 0.3
+};
+
+// Cells about scattered points, between walls of even width. Source: [Worley1996].
+struct CellsPattern {
+  Material body, wall;
+  int cells = 8;          // across n_x
+  double wall_width = 1;  // mm
+  double variation = 1;   // absorption runs over factors e^±variation from cell to cell
+  double jitter = 1;      // of the points about a lattice, 0 … 1
+};
+
+// Bent tapering blades on a ground, overlapping and drooping: no height field.
+struct GrassPattern {
+  Material body, blade;
+  int count = 150;
+  double height = 3;    // the tallest blade's tip above the ground, mm
+  double radius = 0.5;  // of a blade at its root, mm
+  double bend = 0.7;    // 0: upright; 1: the tip is as far aside as the blade is long
+};
+
+// Yarns over and under each other above a backing: no height field.
+struct WeavePattern {
+  Material body, warp, weft;           // backing, yarns along y, yarns along x
+  int warp_count = 8, weft_count = 8;  // across the sample; multiples of `over` + `under`
+  int over = 1, under = 1;             // 1, 1: plain weave; 2, 2: twill
+  double fill = 0.9;                   // a yarn's width over the yarns' distance
+  double height = 1;                   // half a yarn's thickness, mm
+  int strands = 3;                     // twisted together in a yarn; 0: smooth
+};
+
+using SamplePattern = std::variant<MarblePattern, SpotsPattern, LayersPattern, BumpsPattern, WoodPattern, CellsPattern,
+                                   GrassPattern, WeavePattern>;
 
 struct SampleDefinition {
   int width = 128, height = 128;  // n_x, n_y, texels
@@ -62,16 +102,12 @@ struct SampleDefinition {
   SamplePattern pattern;
 };
 
-// The sample's size in voxels, without making it. Throws: InputError where a size is out of range or bumps are too
-// deep.
+// The sample's size in voxels, without making it. Throws: InputError where a size is out of range, a relief too
+// deep, or yarns make no whole repeats.
 Vec3i procedural_sample_size(const SampleDefinition& definition);
 
 // The base volume V_b of a procedural material, tilable in x and y. Source: [STF §4, §5.1].
 // Throws: InputError as procedural_sample_size.
 MaterialSample make_procedural_sample(const SampleDefinition& definition);
-
-// Marks interior voxels that touch free space through a face (or stand at the top) as surface. Their normals come from
-// `outward` at the voxel's centre where it is given, else from the smoothed occupancy.
-void mark_surface(MaterialSample& sample, const std::vector<Vec3f>* outward = nullptr);
 
 }  // namespace shellgrid

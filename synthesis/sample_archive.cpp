@@ -9,7 +9,7 @@
 #include <limits>
 
 #include "meshing/core/error.h"
-#include "synthesis/procedural_sample.h"
+#include "synthesis/sample_builder.h"
 
 namespace shellgrid {
 namespace {

@@ -16,11 +16,11 @@ struct SampleOverrides {
 
 // Makes the base volume that a file describes: a JSON description (comments allowed) or an OpenVDB volume.
 //
-// A description has `type` (marble, spots, layers, bumps, volume), `size` [n_x, n_y], `voxel` mm, `thickness` mm,
-// `ior`, `seed`, `materials` (by the names that the type uses; each {"named": …} or {"absorption", "scattering",
-// "anisotropy"}) and the type's own keys. A thickness that is given cuts a volume's lower layers off.
-// Throws: InputError for what is not JSON, an unknown key (named with its place and the nearest known key), a wrong
-// type, a value out of range, a missing file.
+// A description has `type` (marble, spots, layers, bumps, wood, cells, grass, weave, volume), `size` [n_x, n_y],
+// `voxel` mm, `thickness` mm, `ior`, `seed`, `materials` (by the names that the type uses; each {"named": …} or
+// {"absorption", "scattering", "anisotropy"}) and the type's own keys. A thickness that is given cuts a volume's lower
+// layers off. Throws: InputError for what is not JSON, an unknown key (named with its place and the nearest known key),
+// a wrong type, a value out of range, a missing file.
 MaterialSample load_sample(const std::string& path, const SampleOverrides& overrides);
 
 // Whether load_sample can make a sample of a JSON description, as far as its text tells; volumes are not read. Returns

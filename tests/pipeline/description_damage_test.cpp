@@ -41,6 +41,16 @@ TEST(DamagedSampleDescription, SurvivesDamage) {
           R"("bump": {"absorption": 1, "scattering": 2}}, "count": 2, "radius": 0.8, "lift": 0.4})",
       R"({"type": "layers", "size": [9, 8], "voxel": 0.4, "thickness": 2, "waviness": 1, "cells": 2,
           "layers": [{"material": {"absorption": 1, "scattering": 2}, "thickness": 1}]})",
+      R"({"type": "wood", "size": [9, 8], "voxel": 0.4, "thickness": 2, )" + body +
+          R"("ring": {"absorption": 1, "scattering": 2}}, "ring_width": 1, "pith_depth": 2, "waviness": 0.5,
+          "fibre_length": 2, "fibres": 0.3, "pores": 0.1})",
+      R"({"type": "cells", "size": [9, 8], "voxel": 0.4, "thickness": 2, )" + body +
+          R"("wall": {"absorption": 1, "scattering": 2}}, "cells": 2, "wall_width": 0.5, "variation": 1, "jitter": 1})",
+      R"({"type": "grass", "size": [9, 8], "voxel": 0.4, "thickness": 3, )" + body +
+          R"("blade": {"absorption": 1, "scattering": 2}}, "count": 3, "height": 1, "radius": 0.4, "bend": 0.5})",
+      R"({"type": "weave", "size": [9, 8], "voxel": 0.4, "thickness": 3, )" + body +
+          R"("warp": {"named": "skin1"}, "weft": {"absorption": 1, "scattering": 2}}, "warp_count": 2, "weft_count": 2,
+          "over": 1, "under": 1, "fill": 0.8, "height": 0.4, "strands": 2})",
   };
   const std::string path = folder / "sample.json";
   for (const std::string& description : descriptions) {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <numbers>
 
 #include "meshing/core/error.h"
 #include "synthesis/albedo.h"
@@ -14,13 +15,18 @@ namespace shellgrid {
 namespace {
 
 using testing::bumps;
+using testing::cells;
+using testing::grass;
 using testing::layers;
 using testing::marble;
 using testing::marble_body;
 using testing::spots;
+using testing::weave;
+using testing::wood;
 
 TEST(ProceduralSample, EveryKindTilesInBothDirections) {
-  for (const SampleDefinition& definition : {marble(48), spots(48), layers(48), bumps(48)}) {
+  for (const SampleDefinition& definition :
+       {marble(48), spots(48), layers(48), bumps(48), wood(48), cells(48), grass(48), weave(48)}) {
     const SampleCheck check = check_sample(make_procedural_sample(definition));
     EXPECT_LT(check.seam_x, 1.5);
     EXPECT_LT(check.seam_y, 1.5);
@@ -71,6 +77,95 @@ TEST(ProceduralSample, BumpsAreNoHeightFieldAndTheirNormalsPointIntoFreeSpace) {
   EXPECT_GT(overhangs, 50);
   EXPECT_GT(outwards, 500);
   EXPECT_GT(outwards, 5 * inwards);
+}
+
+// Places where free space lies below material.
+int count_overhangs(const MaterialSample& sample) {
+  int overhangs = 0;
+  for (std::size_t i = static_cast<std::size_t>(sample.size.x()) * sample.size.y(); i < sample.voxel_count(); ++i)
+    overhangs += sample.kind[i] == VoxelKind::free_space &&
+                 sample.kind[i - static_cast<std::size_t>(sample.size.x()) * sample.size.y()] != VoxelKind::free_space;
+  return overhangs;
+}
+
+// Mean angle between normals and the direction in which free space grows, over the surface.
+double mean_cosine_to_free_space(const MaterialSample& sample) {
+  double sum = 0;
+  int count = 0;
+  const Vec3i n = sample.size;
+  for (int z = 2; z + 2 < n.z(); ++z)
+    for (int y = 0; y < n.y(); ++y)
+      for (int x = 0; x < n.x(); ++x) {
+        const std::size_t i = sample.index(x, y, z);
+        if (sample.kind[i] != VoxelKind::surface) continue;
+        Vec3f outside = Vec3f::Zero();
+        for (int dz = -2; dz <= 2; ++dz)
+          for (int dy = -2; dy <= 2; ++dy)
+            for (int dx = -2; dx <= 2; ++dx)
+              if (sample.kind[sample.index((x + dx + n.x()) % n.x(), (y + dy + n.y()) % n.y(), z + dz)] ==
+                  VoxelKind::free_space)
+                outside += Vec3f(dx, dy, dz);
+        if (outside.norm() < 5) continue;
+        sum += sample.normal[i].dot(outside.normalized());
+        ++count;
+      }
+  return sum / count;
+}
+
+TEST(ProceduralSample, GrassAndWeaveOverhangAndTheirNormalsPointIntoFreeSpace) {
+  for (const SampleDefinition& definition : {grass(48), weave(48)}) {
+    const MaterialSample sample = make_procedural_sample(definition);
+    EXPECT_GT(count_overhangs(sample), 100);
+    EXPECT_GT(mean_cosine_to_free_space(sample), 0.7);
+    // The bottom layer is all ground, so that it can give the core.
+    EXPECT_NEAR(bottom_layer_mean(sample).absorption()[0], marble_body().absorption()[0], 1e-5);
+  }
+}
+
+TEST(ProceduralSample, AWeaveRepeatsAfterOverPlusUnderYarns) {
+  // 4 by 4 yarns over 48 texels, 2 over 2 under: moved by one yarn in x and one back in y it is the same.
+  const MaterialSample sample = make_procedural_sample(weave(48));
+  int differences = 0;
+  for (int z = 0; z < sample.size.z(); ++z)
+    for (int y = 0; y < 48; ++y)
+      for (int x = 0; x < 48; ++x)
+        differences += sample.kind[sample.index(x, y, z)] != sample.kind[sample.index((x + 12) % 48, (y + 36) % 48, z)];
+  EXPECT_EQ(differences, 0);
+  SampleDefinition odd = weave(48);
+  std::get<WeavePattern>(odd.pattern).warp_count = 5;
+  EXPECT_THROW(make_procedural_sample(odd), InputError);
+}
+
+TEST(ProceduralSample, WallsOfCellsFillWhatTheirWidthAndNumberSay) {
+  // Voronoi cells of Poisson points have 2.91 λ^{1/3} of wall area a volume, of a near-lattice less (3 for cubes): 4
+  // cells across 48 voxels of 0.4 mm are 4.8 mm wide, so 1.2 mm of wall fill up to 3 · 1.2 / 4.8 less what meets at
+  // edges.
+  const MaterialSample sample = make_procedural_sample(cells(48));
+  double wall = 0;
+  for (std::size_t i = 0; i < sample.voxel_count(); ++i) wall += sample.material(i).absorption()[1] > 0.1f;
+  EXPECT_NEAR(wall / static_cast<double>(sample.voxel_count()), 0.52, 0.08);
+}
+
+TEST(ProceduralSample, GrowthRingsStandARingsWidthApart) {
+  SampleDefinition definition = wood(96);
+  auto& pattern = std::get<WoodPattern>(definition.pattern);
+  pattern.waviness = pattern.fibres = pattern.pores = 0;
+  pattern.pith_depth = 0;
+  const MaterialSample sample = make_procedural_sample(definition);
+  // Along y from the pith the radius is 96/π sin(π (y/96 − ½)): between radii 4 and 20 voxels are 3.2 rings of 5
+  // voxels.
+  std::vector<double> absorption;
+  for (int y = 0; y < 96; ++y) absorption.push_back(sample.material(sample.index(7, y, 0)).absorption()[1]);
+  int ends = 0;  // where late wood ends and early wood begins
+  for (int y = 49; y < 94; ++y) {
+    const bool steepest = absorption[y] - absorption[y + 1] > absorption[y - 1] - absorption[y] &&
+                          absorption[y] - absorption[y + 1] >= absorption[y + 1] - absorption[y + 2];
+    if (!steepest || absorption[y] < 2 * absorption[y + 1]) continue;
+    const double radius = 96 / std::numbers::pi * std::sin(std::numbers::pi * ((y + 1) / 96.0 - 0.5));
+    EXPECT_NEAR(radius / 5, std::round(radius / 5), 0.2);
+    ++ends;
+  }
+  EXPECT_EQ(ends, 6);
 }
 
 TEST(ProceduralSample, FlatSamplesHaveSurfaceVoxelsExactlyOnTop) {

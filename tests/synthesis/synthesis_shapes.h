@@ -51,6 +51,36 @@ inline SampleDefinition bumps(int size) {
   return definition;
 }
 
+inline SampleDefinition wood(int size) {
+  SampleDefinition definition;
+  definition.width = definition.height = size;
+  definition.pattern = WoodPattern{marble_body(), marble_vein(), 2, 6, 0.5, 5, 0.3, 0.02};
+  return definition;
+}
+
+inline SampleDefinition cells(int size) {
+  SampleDefinition definition;
+  definition.width = definition.height = size;
+  definition.pattern = CellsPattern{marble_body(), marble_vein(), 4, 1.2, 0, 0.9};
+  return definition;
+}
+
+inline SampleDefinition grass(int size) {
+  SampleDefinition definition;
+  definition.width = definition.height = size;
+  definition.thickness = 6;
+  definition.pattern = GrassPattern{marble_body(), marble_vein(), size * size / 60, 3.6, 0.6, 0.9};
+  return definition;
+}
+
+inline SampleDefinition weave(int size) {
+  SampleDefinition definition;
+  definition.width = definition.height = size;
+  definition.thickness = 6;
+  definition.pattern = WeavePattern{marble_body(), marble_vein(), marble_vein(), 4, 4, 2, 2, 0.9, 1, 3};
+  return definition;
+}
+
 // A flat patch of right triangles, (n + 1)² vertices `step` apart, facing +z.
 inline TriangleMesh patch(int n, double step) {
   TriangleMesh mesh;

@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "pipeline/scene/pattern_description.h"
+
+#include "meshing/core/error.h"
+
+namespace shellgrid {
+
+const std::vector<std::string>& procedural_types() {
+  static const std::vector<std::string> types = {"marble", "spots", "layers", "bumps",
+                                                 "wood",   "cells", "grass",  "weave"};
+  return types;
+}
+
+SamplePattern read_pattern(DescriptionSection& root, const std::string& type) {
+  if (type == "layers") {
+    LayersPattern pattern;
+    for (DescriptionSection& layer : root.list("layers")) {
+      pattern.layers.push_back({read_material(layer.section("material")), layer.number("thickness", 1, 1e-6, 1e4)});
+      layer.finish();
+    }
+    if (pattern.layers.empty()) root.fail("layers", "expected at least one layer");
+    pattern.waviness = root.number("waviness", 0, 0, 1e3);
+    pattern.cells = root.integer("cells", 4, 1, 256);
+    return pattern;
+  }
+  DescriptionSection materials = root.section("materials");
+  const Material body = read_material(materials.section("body"));
+  if (type == "wood") {
+    WoodPattern pattern;
+    pattern.body = body;
+    pattern.ring = read_material(materials.section("ring"));
+    pattern.ring_width = root.number("ring_width", pattern.ring_width, 1e-3, 1e3);
+    pattern.pith_depth = root.number("pith_depth", pattern.pith_depth, -1e4, 1e4);
+    pattern.waviness = root.number("waviness", pattern.waviness, 0, 1e3);
+    pattern.fibre_length = root.number("fibre_length", pattern.fibre_length, 1e-3, 1e4);
+    pattern.fibres = root.number("fibres", pattern.fibres, 0, 5);
+    pattern.pores = root.number("pores", pattern.pores, 0, 0.3);
+    materials.finish();
+    return pattern;
+  }
+  if (type == "cells") {
+    CellsPattern pattern;
+    pattern.body = body;
+    pattern.wall = read_material(materials.section("wall"));
+    pattern.cells = root.integer("cells", pattern.cells, 1, 256);
+    pattern.wall_width = root.number("wall_width", pattern.wall_width, 0, 1e3);
+    pattern.variation = root.number("variation", pattern.variation, 0, 5);
+    pattern.jitter = root.number("jitter", pattern.jitter, 0, 1);
+    materials.finish();
+    return pattern;
+  }
+  if (type == "grass") {
+    GrassPattern pattern;
+    pattern.body = body;
+    pattern.blade = read_material(materials.section("blade"));
+    pattern.count = root.integer("count", pattern.count, 1, 10000);
+    pattern.height = root.number("height", pattern.height, 1e-3, 1e3);
+    pattern.radius = root.number("radius", pattern.radius, 1e-3, 1e3);
+    pattern.bend = root.number("bend", pattern.bend, 0, 1);
+    materials.finish();
+    return pattern;
+  }
+  if (type == "weave") {
+    WeavePattern pattern;
+    pattern.body = body;
+    pattern.warp = read_material(materials.section("warp"));
+    pattern.weft = read_material(materials.section("weft"));
+    pattern.warp_count = root.integer("warp_count", pattern.warp_count, 1, 256);
+    pattern.weft_count = root.integer("weft_count", pattern.weft_count, 1, 256);
+    pattern.over = root.integer("over", pattern.over, 1, 16);
+    pattern.under = root.integer("under", pattern.under, 1, 16);
+    pattern.fill = root.number("fill", pattern.fill, 0.05, 1);
+    pattern.height = root.number("height", pattern.height, 1e-3, 1e3);
+    pattern.strands = root.integer("strands", pattern.strands, 0, 16);
+    materials.finish();
+    return pattern;
+  }
+  if (type == "spots") {
+    SpotsPattern pattern;
+    pattern.body = body;
+    pattern.spot = read_material(materials.section("spot"));
+    pattern.count = root.integer("count", pattern.count, 1, 10000);
+    pattern.radius = root.number("radius", pattern.radius, 1e-3, 1e3);
+    pattern.variation = root.number("variation", pattern.variation, 0, 1);
+    pattern.softness = root.number("softness", pattern.softness, 0, 1e3);
+    materials.finish();
+    return pattern;
+  }
+  if (type == "bumps") {
+    BumpsPattern pattern;
+    pattern.body = body;
+    pattern.bump = read_material(materials.section("bump"));
+    pattern.count = root.integer("count", pattern.count, 1, 10000);
+    pattern.radius = root.number("radius", pattern.radius, 1e-3, 1e3);
+    pattern.lift = root.number("lift", pattern.lift, 0, 10);
+    materials.finish();
+    return pattern;
+  }
+  MarblePattern pattern;
+  pattern.body = body;
+  pattern.vein = read_material(materials.section("vein"));
+  materials.finish();
+  pattern.warp = root.number("warp", pattern.warp, 0, 1e3);
+  pattern.cloudiness = root.number("cloudiness", pattern.cloudiness, 0, 5);
+  for (DescriptionSection& section : root.list("veins")) {
+    VeinFamily vein;
+    vein.cells = section.integer("cells", vein.cells, 1, 256);
+    vein.width = section.number("width", vein.width, 1e-3, 1e3);
+    vein.variation = section.number("variation", vein.variation, 0, 5);
+    vein.strength = section.number("strength", vein.strength, 0, 1);
+    vein.coverage = section.number("coverage", vein.coverage, 0, 1);
+    vein.waves_x = section.integer("waves_x", 0, -64, 64);
+    vein.waves_y = section.integer("waves_y", 0, -64, 64);
+    section.finish();
+    pattern.veins.push_back(vein);
+  }
+  return pattern;
+}
+
+std::vector<Material> materials_of(const SamplePattern& pattern) {
+  struct Lister {
+    std::vector<Material> operator()(const MarblePattern& p) const { return {p.body, p.vein}; }
+    std::vector<Material> operator()(const SpotsPattern& p) const { return {p.body, p.spot}; }
+    std::vector<Material> operator()(const BumpsPattern& p) const { return {p.body, p.bump}; }
+    std::vector<Material> operator()(const WoodPattern& p) const { return {p.body, p.ring}; }
+    std::vector<Material> operator()(const CellsPattern& p) const { return {p.body, p.wall}; }
+    std::vector<Material> operator()(const GrassPattern& p) const { return {p.body, p.blade}; }
+    std::vector<Material> operator()(const WeavePattern& p) const { return {p.body, p.warp, p.weft}; }
+    std::vector<Material> operator()(const LayersPattern& p) const {
+      std::vector<Material> list;
+      for (const LayersPattern::Layer& layer : p.layers) list.push_back(layer.material);
+      return list;
+    }
+  };
+  return std::visit(Lister(), pattern);
+}
+
+}  // namespace shellgrid
