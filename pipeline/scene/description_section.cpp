@@ -66,19 +66,20 @@ std::string DescriptionSection::word(const std::string& key, const std::string& 
 }
 
 std::vector<int> DescriptionSection::integers(const std::string& key, const std::vector<int>& otherwise, int least,
-                                              int most) {
-  const std::vector<double> values = numbers(key, otherwise.size(), least, most);
+                                              int most, const std::string& form) {
+  const std::vector<double> values = numbers(key, otherwise.size(), least, most, form);
   if (values.empty()) return otherwise;
   for (double value : values)
     if (value != std::floor(value)) fail(key, "expected whole numbers");
   return {values.begin(), values.end()};
 }
 
-std::vector<double> DescriptionSection::numbers(const std::string& key, std::size_t count, double least, double most) {
+std::vector<double> DescriptionSection::numbers(const std::string& key, std::size_t count, double least, double most,
+                                                const std::string& form) {
   std::vector<double> result;
   if (!has(key)) return result;
   const json& values = values_.at(key);
-  if (!values.is_array() || values.size() != count) fail(key, fmt::format("expected a list of {} numbers", count));
+  if (!values.is_array() || values.size() != count) fail(key, "expected " + form);
   for (const json& value : values) result.push_back(check(key, value, least, most));
   return result;
 }

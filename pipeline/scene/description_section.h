@@ -25,10 +25,12 @@ class DescriptionSection {
   std::string text(const std::string& key, const std::string& otherwise);
   // One of `choices`.
   std::string word(const std::string& key, const std::string& otherwise, const std::vector<std::string>& choices);
-  // Whole numbers, exactly as many as `otherwise` holds.
-  std::vector<int> integers(const std::string& key, const std::vector<int>& otherwise, int least, int most);
+  // Whole numbers, exactly as many as `otherwise` holds. `form` says which: "[n_x, n_y]".
+  std::vector<int> integers(const std::string& key, const std::vector<int>& otherwise, int least, int most,
+                            const std::string& form);
   // Numbers, exactly `count` of them; empty where the key is missing.
-  std::vector<double> numbers(const std::string& key, std::size_t count, double least, double most);
+  std::vector<double> numbers(const std::string& key, std::size_t count, double least, double most,
+                              const std::string& form);
   std::vector<std::string> texts(const std::string& key);
   DescriptionSection section(const std::string& key);
   // The elements of a list of sections; none where the key is missing.

@@ -93,7 +93,7 @@ Description read_description(const std::string& path, const SampleOverrides& ove
     return description;
   }
   SampleDefinition& definition = description.definition;
-  const std::vector<int> size = root.integers("size", {definition.width, definition.height}, 4, 2048);
+  const std::vector<int> size = root.integers("size", {definition.width, definition.height}, 4, 2048, "[n_x, n_y]");
   definition.width = size[0], definition.height = size[1];
   definition.voxel = settings.voxel.value_or(definition.voxel);
   definition.thickness = settings.thickness.value_or(definition.thickness);
