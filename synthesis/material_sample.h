@@ -22,6 +22,8 @@ struct MaterialSample {
   std::vector<Vec3f> extinction, albedo, anisotropy;  // per voxel, RGB; zero in free space
   std::vector<VoxelKind> kind;
   std::vector<Vec3f> normal;  // outward unit normal of the mesostructure surface where kind is `surface`, else zero
+  // Relative refractive index of each surface voxel, zero elsewhere; empty where all of them have `ior`.
+  std::vector<float> surface_ior;
 
   std::size_t voxel_count() const { return static_cast<std::size_t>(size.x()) * size.y() * size.z(); }
   std::size_t index(int x, int y, int z) const { return (static_cast<std::size_t>(z) * size.y() + y) * size.x() + x; }

@@ -95,6 +95,10 @@ VdbArchive archive_sample(const MaterialSample& sample) {
   archive.grids.push_back({"kind", fill_grid<std::int32_t>(sample.size, 0, [&](int x, int y, int z) {
                              return static_cast<std::int32_t>(sample.kind[sample.index(x, y, z)]);
                            })});
+  if (!sample.surface_ior.empty())
+    archive.grids.push_back({"surface_ior", fill_grid<float>(sample.size, 0.0f, [&](int x, int y, int z) {
+                               return sample.surface_ior[sample.index(x, y, z)];
+                             })});
   archive.metadata["kind"] = "material sample";
   archive.set_numbers("size", {static_cast<double>(sample.size.x()), static_cast<double>(sample.size.y()),
                                static_cast<double>(sample.size.z())});
@@ -120,7 +124,10 @@ MaterialSample restore_sample(const VdbArchive& archive) {
   const auto &extinction = archive.get<Vec3f>("extinction"), &albedo = archive.get<Vec3f>("albedo");
   const auto &anisotropy = archive.get<Vec3f>("anisotropy"), &normal = archive.get<Vec3f>("normal");
   const auto& kind = archive.get<std::int32_t>("kind");
+  const auto* surface_ior = has_grid<float>(archive, "surface_ior") ? &archive.get<float>("surface_ior") : nullptr;
+  if (surface_ior) sample.surface_ior.resize(sample.voxel_count());
   for_each_index(sample.size, [&](std::size_t i, int x, int y, int z) {
+    if (surface_ior) sample.surface_ior[i] = surface_ior->value(x, y, z);
     sample.extinction[i] = extinction.value(x, y, z);
     sample.albedo[i] = albedo.value(x, y, z);
     sample.anisotropy[i] = anisotropy.value(x, y, z);

@@ -2,6 +2,7 @@
 #include "pipeline/scene/pattern_description.h"
 
 #include "meshing/core/error.h"
+#include "pipeline/scene/sample_recipe.h"
 
 namespace shellgrid {
 
@@ -115,6 +116,29 @@ SamplePattern read_pattern(DescriptionSection& root, const std::string& type) {
     pattern.veins.push_back(vein);
   }
   return pattern;
+}
+
+void describe_procedural(DescriptionSection& root, const std::string& type, SampleRecipe& recipe) {
+  SampleDefinition definition;
+  definition.pattern = read_pattern(root, type);
+  const auto define = [definition](const SampleExtent& extent) {
+    SampleDefinition defined = definition;
+    defined.width = extent.width, defined.height = extent.height;
+    defined.voxel = extent.voxel, defined.thickness = extent.thickness, defined.ior = extent.ior;
+    defined.seed = extent.seed;
+    return defined;
+  };
+  try {
+    procedural_sample_size(define(recipe.extent));
+  } catch (const InputError& error) {
+    root.fail("", error.what());
+  }
+  recipe.materials = materials_of(definition.pattern);
+  recipe.make = [define](const SampleExtent& extent) {
+    MadeSample made;
+    made.sample = make_procedural_sample(define(extent));
+    return made;
+  };
 }
 
 std::vector<Material> materials_of(const SamplePattern& pattern) {

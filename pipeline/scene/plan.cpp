@@ -169,7 +169,7 @@ struct SceneCase {
   const Scene& scene;
   bool opaque, shell;
   ExternalFile mesh;
-  std::vector<ExternalFile> sample;  // the description and the volume that it names
+  std::vector<ExternalFile> sample;  // the description and the files that it names
   std::vector<ExternalFile> light_files;
   Tiling tiling;
 
@@ -388,13 +388,14 @@ Plan make_plan(const std::string& scene_path) {
     const ShellMaterial& shell = *scene.material->shell;
     scene_case.sample = {{"sample", shell.sample}};
     plan.read.push_back(shell.sample);
-    std::string volume;
+    std::vector<std::string> files;
     try {
-      volume = check_sample_description(shell.sample, {shell.voxel, shell.thickness, scene.object->ior, {}});
+      files = check_sample_description(shell.sample, {shell.voxel, shell.thickness, scene.object->ior, {}});
     } catch (const InputError& error) {
       throw InputError(scene_path + ": material.shell: " + error.what());
     }
-    if (!volume.empty()) scene_case.sample.push_back({"volume", volume});
+    for (std::size_t i = 0; i < files.size(); ++i)
+      scene_case.sample.push_back({i == 0 ? "volume" : fmt::format("volume{}", i), files[i]});
   }
   for (std::size_t i = 0; i < document.root["lights"].size(); ++i)
     if (document.root["lights"][i].contains("image"))

@@ -15,6 +15,7 @@
 #include "pipeline/cli/nearest_name.h"
 #include "pipeline/scene/description_section.h"
 #include "pipeline/scene/pattern_description.h"
+#include "pipeline/scene/sample_recipe.h"
 #include "synthesis/sample_archive.h"
 
 namespace shellgrid {
@@ -34,13 +35,14 @@ void cut(MaterialSample& sample, double thickness, const std::string& path) {
   for (std::vector<Vec3f>* values : {&sample.extinction, &sample.albedo, &sample.anisotropy, &sample.normal})
     values->resize(count);
   sample.kind.resize(count);
+  if (!sample.surface_ior.empty()) sample.surface_ior.resize(count);
 }
 
-MaterialSample finish_volume(MaterialSample sample, const SampleOverrides& overrides, const std::string& path) {
-  if (overrides.voxel) sample.voxel = *overrides.voxel;
-  if (overrides.ior) sample.ior = *overrides.ior;
-  if (overrides.thickness) cut(sample, *overrides.thickness, path);
-  return sample;
+// A volume's own voxel, thickness and index stand unless others were given.
+void fit_volume(MaterialSample& sample, const SampleExtent& extent, bool ior_given, const std::string& path) {
+  if (extent.voxel_given) sample.voxel = extent.voxel;
+  if (ior_given) sample.ior = extent.ior;
+  if (extent.thickness_given) cut(sample, extent.thickness, path);
 }
 
 json parse(const std::string& path) {
@@ -55,94 +57,81 @@ json parse(const std::string& path) {
 
 bool is_volume(const std::string& path) { return std::filesystem::path(path).extension() == ".vdb"; }
 
-// What a description's text says.
-struct Description {
-  SampleOverrides settings;     // of the command line, else of the text
-  std::string volume;           // path of the volume to import; empty for procedural samples
-  VolumeImport import;          // of that volume
-  SampleDefinition definition;  // of a procedural sample
-};
-
-Description read_description(const std::string& path, const SampleOverrides& overrides) {
+SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrides) {
   const json document = parse(path);
   DescriptionSection root(path, "", document);
   std::vector<std::string> types = procedural_types();
-  types.push_back("volume");
+  types.insert(types.end(), {"volume", "meshes"});
   const std::string type = root.word("type", "", types);
-  Description description;
-  SampleOverrides& settings = description.settings;
-  settings = overrides;
-  const auto setting = [&](std::optional<double>& value, const std::string& key, double least, double most) {
-    const bool present = root.has(key);
-    const double number = root.number(key, 0, least, most);
-    if (present && !value) value = number;
+  SampleRecipe recipe;
+  SampleExtent& extent = recipe.extent;
+  const auto setting = [&](double& value, const std::optional<double>& instead, const char* key, double least,
+                           double most) {
+    const bool given = root.has(key) || instead;
+    value = root.number(key, value, least, most);
+    if (instead) value = *instead;
+    return given;
   };
-  setting(settings.voxel, "voxel", 1e-6, 1e4);
-  setting(settings.thickness, "thickness", 1e-6, 1e4);
-  setting(settings.ior, "ior", 1, 4);
+  extent.voxel_given = setting(extent.voxel, overrides.voxel, "voxel", 1e-6, 1e4);
+  extent.thickness_given = setting(extent.thickness, overrides.thickness, "thickness", 1e-6, 1e4);
+  const bool ior_given = setting(extent.ior, overrides.ior, "ior", 1, 4);
   if (type == "volume") {
-    VolumeImport& import = description.import;
-    import.extinction_scale = root.number("extinction_scale", 1, 0, 1e6);
-    import.albedo = root.color("albedo", import.albedo, 0, 1);
-    import.anisotropy = root.color("anisotropy", import.anisotropy, -0.999, 0.999);
-    import.least_density = root.number("least_density", 0, -1e9, 1e9);
-    const std::string file = root.text("file", "");
-    if (file.empty()) root.fail("file", "is missing; expected a .vdb");
-    root.finish();
-    description.volume = (std::filesystem::path(path).parent_path() / file).string();
-    return description;
+    describe_volume(root, recipe);
+    const auto make = recipe.make;
+    recipe.make = [make, ior_given, file = recipe.files.front()](const SampleExtent& wanted) {
+      MadeSample made = make(wanted);
+      fit_volume(made.sample, wanted, ior_given, file);
+      return made;
+    };
+  } else {
+    const std::vector<int> size = root.integers("size", {extent.width, extent.height}, 4, 2048, "[n_x, n_y]");
+    extent.width = size[0], extent.height = size[1];
+    extent.seed = static_cast<std::uint64_t>(root.integer("seed", 1, 0, 2000000000));
+    if (overrides.seed) extent.seed = *overrides.seed;
+    if (type == "meshes")
+      describe_meshes(root, recipe);
+    else
+      describe_procedural(root, type, recipe);
   }
-  SampleDefinition& definition = description.definition;
-  const std::vector<int> size = root.integers("size", {definition.width, definition.height}, 4, 2048, "[n_x, n_y]");
-  definition.width = size[0], definition.height = size[1];
-  definition.voxel = settings.voxel.value_or(definition.voxel);
-  definition.thickness = settings.thickness.value_or(definition.thickness);
-  definition.ior = settings.ior.value_or(definition.ior);
-  definition.seed = static_cast<std::uint64_t>(root.integer("seed", 1, 0, 2000000000));
-  if (settings.seed) definition.seed = *settings.seed;
-  definition.pattern = read_pattern(root, type);
   root.finish();
-  try {
-    procedural_sample_size(definition);
-  } catch (const InputError& error) {
-    throw InputError(path + ": " + error.what());
-  }
-  return description;
+  return recipe;
 }
 
 }  // namespace
 
-MaterialSample load_sample(const std::string& path, const SampleOverrides& overrides) {
+MadeSample make_sample(const std::string& path, const SampleOverrides& overrides) {
+  MadeSample made;
   if (is_volume(path)) {
     const VdbArchive archive = read_vdb(path);
-    return finish_volume(is_sample_archive(archive) ? restore_sample(archive) : import_sample(archive, {}), overrides,
-                         path);
+    made.sample = is_sample_archive(archive) ? restore_sample(archive) : import_sample(archive, {});
+    SampleExtent extent;
+    extent.voxel_given = overrides.voxel.has_value(), extent.voxel = overrides.voxel.value_or(0);
+    extent.thickness_given = overrides.thickness.has_value(), extent.thickness = overrides.thickness.value_or(0);
+    extent.ior = overrides.ior.value_or(0);
+    fit_volume(made.sample, extent, overrides.ior.has_value(), path);
+    return made;
   }
-  const Description description = read_description(path, overrides);
-  if (!description.volume.empty())
-    return finish_volume(import_sample(read_vdb(description.volume), description.import), description.settings,
-                         description.volume);
-  try {
-    return make_procedural_sample(description.definition);
-  } catch (const InputError& error) {
-    throw InputError(path + ": " + error.what());
-  }
+  const SampleRecipe recipe = read_recipe(path, overrides);
+  return naming(path, [&] { return recipe.make(recipe.extent); });
 }
 
-std::string check_sample_description(const std::string& path, const SampleOverrides& overrides) {
-  if (is_volume(path)) return "";
-  const Description description = read_description(path, overrides);
+MaterialSample load_sample(const std::string& path, const SampleOverrides& overrides) {
+  return make_sample(path, overrides).sample;
+}
+
+std::vector<std::string> check_sample_description(const std::string& path, const SampleOverrides& overrides) {
+  if (is_volume(path)) return {};
+  const SampleRecipe recipe = read_recipe(path, overrides);
   std::error_code error;
-  if (!description.volume.empty() && !std::filesystem::is_regular_file(description.volume, error))
-    throw InputError(path + ": file: " + description.volume + ": " + std::strerror(ENOENT));
-  return description.volume;
+  for (const std::string& file : recipe.files)
+    if (!std::filesystem::is_regular_file(file, error))
+      throw InputError(path + ": file: " + file + ": " + std::strerror(ENOENT));
+  return recipe.files;
 }
 
 std::vector<Material> described_materials(const std::string& path) {
   if (is_volume(path)) return {};
-  const Description description = read_description(path, {});
-  if (!description.volume.empty()) return {};
-  return materials_of(description.definition.pattern);
+  return read_recipe(path, {}).materials;
 }
 
 }  // namespace shellgrid

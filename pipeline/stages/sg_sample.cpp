@@ -33,7 +33,9 @@ int main(int argc, char** argv) {
     if (program.given("--ior")) overrides.ior = ior;
     if (program.given("--seed")) overrides.seed = run.seed();
     run.start_timer("make");
-    const MaterialSample sample = load_sample(description, overrides);
+    const MadeSample made = make_sample(description, overrides);
+    const MaterialSample& sample = made.sample;
+    for (const std::string& warning : made.warnings) run.progress().warn(warning);
     const SampleCheck check = check_sample(sample);
     for (const std::string& complaint : check.complaints) {
       if (strict) throw InputError(description + ": " + complaint);
@@ -54,5 +56,6 @@ int main(int argc, char** argv) {
                      {"mean_free_path_mm", colors(check.mean_free_path)},
                      {"seam_over_inside", {check.seam_x, check.seam_y}},
                      {"checks_passed", check.complaints.empty()}};
+    run.results().update(made.figures);
   });
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <gtest/gtest.h>
 
+#include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "pipeline/scene/sample_description.h"
 #include "pipeline/scene/scene.h"
@@ -51,7 +52,11 @@ TEST(DamagedSampleDescription, SurvivesDamage) {
       R"({"type": "weave", "size": [9, 8], "voxel": 0.4, "thickness": 3, )" + body +
           R"("warp": {"named": "skin1"}, "weft": {"absorption": 1, "scattering": 2}}, "warp_count": 2, "weft_count": 2,
           "over": 1, "under": 1, "fill": 0.8, "height": 0.4, "strands": 2})",
+      R"({"type": "meshes", "size": [9, 8], "voxel": 0.4, "thickness": 3, "samples_per_edge": 2, "top": 0.2, "parts": [
+          {"ground": 0, "material": {"named": "skin1"}}, {"mesh": "part.ply", "free": true, "priority": 1, "scale": 0.5,
+          "position": [1, 1, 0], "rotation": [0, 10, 20], "scatter": 2, "random_turns": true}]})",
   };
+  write_ply(folder / "part.ply", {octahedron(), {}});
   const std::string path = folder / "sample.json";
   for (const std::string& description : descriptions) {
     write_raw(path, description);

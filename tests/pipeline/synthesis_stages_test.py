@@ -159,6 +159,9 @@ class Chain(unittest.TestCase):
             (description(seed=-1), "seed", "out of range"),
             ([1, 2], "description", "section"),
             ({"type": "volume", "file": "nowhere.vdb"}, "nowhere.vdb", "No such file"),
+            ({"type": "meshes", "parts": [{"mesh": "nowhere.ply", "material": BODY}]}, "nowhere.ply", "No such file"),
+            ({"type": "meshes", "parts": [{"mesh": "nowhere.ply"}]}, "parts[0].material", "missing"),
+            ({"type": "meshes", "parts": []}, "parts", "at least one"),
             (description(type="bumps", materials={"body": BODY, "bump": VEIN}, thickness=1, veins=None, warp=None),
              "thickness", "4 mm"),
         ]
