@@ -123,6 +123,8 @@ void DescriptionSection::fail(const std::string& key, const std::string& what) c
   throw InputError(fmt::format("{}: {}: {}", file_, place.empty() ? "the description" : place, what));
 }
 
+void DescriptionSection::refuse(const std::string& what) const { throw InputError(file_ + ": " + what); }
+
 std::string DescriptionSection::file(const std::string& name) const {
   return (std::filesystem::path(file_).parent_path() / name).string();
 }

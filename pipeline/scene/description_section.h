@@ -37,6 +37,8 @@ class DescriptionSection {
   std::vector<DescriptionSection> list(const std::string& key);
   void finish() const;
   [[noreturn]] void fail(const std::string& key, const std::string& what) const;
+  // The same of the description as a whole: "FILE: what is wrong".
+  [[noreturn]] void refuse(const std::string& what) const;
   // A path of the description, relative to its folder.
   std::string file(const std::string& name) const;
 

@@ -131,7 +131,7 @@ void describe_procedural(DescriptionSection& root, const std::string& type, Samp
   try {
     procedural_sample_size(define(recipe.extent));
   } catch (const InputError& error) {
-    root.fail("", error.what());
+    root.refuse(error.what());
   }
   recipe.materials = materials_of(definition.pattern);
   recipe.make = [define](const SampleExtent& extent) {

@@ -411,7 +411,7 @@ class PlanTest(unittest.TestCase):
         self.put("bumps.json", json.dumps({"type": "bumps", "radius": 2, "lift": 1,
                                            "materials": {"body": bump, "bump": bump}}))
         self.content["material"]["shell"]["sample"] = "bumps.json"
-        refused("material.shell", "bumps.json: bumps reach 4.125 mm deep, the thickness is only 2 mm", "at least 5 mm")
+        refused("material.shell", "bumps.json: the surface's relief reaches 4.125 mm deep, the thickness is only 2 mm", "at least 5 mm")
         self.content["material"]["shell"]["thickness"] = 5
         self.put_scene()
         self.assertEqual(self.plan().returncode, 0)
