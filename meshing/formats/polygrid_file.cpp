@@ -2,6 +2,8 @@
 // Tetrahedral meshes and polygrids as VTKHDF files. FORMATS.md lists their arrays.
 #include <fmt/format.h>
 
+#include <algorithm>
+
 #include "meshing/core/error.h"
 #include "meshing/formats/vtkhdf_file.h"
 
@@ -118,18 +120,23 @@ PolygridGraph graph_of(const std::string& path, const std::vector<DataArray>& ar
   return graph;
 }
 
-// The next coarser level of a graph with so many nodes.
-PolygridLevel level_of(const std::string& path, const std::vector<DataArray>& arrays, const PolygridGraph& finer) {
+// The next coarser level of a graph with so many nodes; `finer`: of a graph that was read, for its boundary.
+PolygridLevel level_of(const std::string& path, const std::vector<DataArray>& arrays, std::size_t finer_nodes,
+                       const PolygridGraph* finer) {
   PolygridLevel level;
-  level.graph = graph_of(path, arrays, "");
-  const auto nodes = static_cast<std::size_t>(level.graph.interior.rows());
+  if (finer) level.graph = graph_of(path, arrays, "");
+  const std::size_t nodes = row_count(find_array(arrays, "lattice"), 3);
   const auto array = [&](const std::string& name, int columns, std::size_t rows) -> const std::vector<std::int32_t>& {
     return values_of<std::int32_t>(path, find_array(arrays, name), name, columns, rows);
   };
   level.lattice = matrix_of<decltype(level.lattice)>(array("lattice", 3, nodes));
-  level.parent = array("parent", 1, static_cast<std::size_t>(finer.interior.rows()));
-  level.boundary_parent = array("boundary_parent", 1, finer.boundary_owner.size());
+  if (finer && static_cast<std::size_t>(level.graph.interior.rows()) != nodes)
+    throw InputError(
+        fmt::format("{}: the array lattice has {} rows; expected {}", path, nodes, level.graph.interior.rows()));
+  level.parent = array("parent", 1, finer_nodes);
   check_indices(path, "parent", level.parent, 0, static_cast<std::int64_t>(nodes));
+  if (!finer) return level;
+  level.boundary_parent = array("boundary_parent", 1, finer->boundary_owner.size());
   check_indices(path, "boundary_parent", level.boundary_parent, -1,
                 static_cast<std::int64_t>(level.graph.boundary_owner.size()));
   return level;
@@ -173,8 +180,12 @@ void write_polygrid(const std::string& path, const Polygrid& polygrid) {
   write_vtkhdf(path, grid);
 }
 
-Polygrid read_polygrid(const std::string& path) {
-  const UnstructuredGrid grid = read_vtkhdf(path);
+Polygrid read_polygrid(const std::string& path, PolygridParts parts) {
+  const bool whole = parts == PolygridParts::all;
+  const UnstructuredGrid grid = read_vtkhdf(path, [&](const std::string& name, int level) {
+    return whole ||
+           (level > 0 ? name == "lattice" || name == "parent" : name != "normal" && !name.starts_with("graph_"));
+  });
   check_point_count(path, grid);
   if (grid.types.empty()) throw InputError(path + ": the file holds no cells");
   const auto points = static_cast<std::size_t>(grid.points.rows());
@@ -188,8 +199,9 @@ Polygrid read_polygrid(const std::string& path) {
   polygrid.point_lattice = matrix_of<decltype(polygrid.point_lattice)>(
       values_of<std::int32_t>(path, grid.find_point("lattice"), "lattice", 3, points));
   polygrid.outer_twin = values_of<std::int32_t>(path, grid.find_point("outer_twin"), "outer_twin", 1, points);
-  polygrid.point_normal =
-      matrix_of<VertexMatrix>(values_of<double>(path, grid.find_point("normal"), "normal", 3, points));
+  if (whole)
+    polygrid.point_normal =
+        matrix_of<VertexMatrix>(values_of<double>(path, grid.find_point("normal"), "normal", 3, points));
   const DataArray* quads = grid.find_field("boundary_quads");
   const std::vector<std::int32_t>& quad_points =
       values_of<std::int32_t>(path, quads, "boundary_quads", 4, row_count(quads, 4));
@@ -198,11 +210,15 @@ Polygrid read_polygrid(const std::string& path) {
   if (spacing == grid.attributes.end()) throw InputError(path + ": not a polygrid: the array spacing is missing");
   polygrid.spacing = spacing->second;
 
-  polygrid.graph = graph_of(path, grid.field_data, "graph_");
-  for (const std::vector<DataArray>& arrays : grid.levels)
-    polygrid.hierarchy.push_back(
-        level_of(fmt::format("{}: hierarchy/{}", path, polygrid.hierarchy.size() + 1), arrays,
-                 polygrid.hierarchy.empty() ? polygrid.graph : polygrid.hierarchy.back().graph));
+  if (whole) polygrid.graph = graph_of(path, grid.field_data, "graph_");
+  auto nodes = static_cast<std::size_t>(std::count(polygrid.cell_layer.begin(), polygrid.cell_layer.end(), 0));
+  if (whole) nodes = static_cast<std::size_t>(polygrid.graph.interior.rows());
+  for (const std::vector<DataArray>& arrays : grid.levels) {
+    const PolygridGraph* finer = polygrid.hierarchy.empty() ? &polygrid.graph : &polygrid.hierarchy.back().graph;
+    polygrid.hierarchy.push_back(level_of(fmt::format("{}: hierarchy/{}", path, polygrid.hierarchy.size() + 1), arrays,
+                                          nodes, whole ? finer : nullptr));
+    nodes = static_cast<std::size_t>(polygrid.hierarchy.back().lattice.rows());
+  }
 
   const auto signed_points = static_cast<std::int64_t>(points);
   check_indices(path, "outer_twin", polygrid.outer_twin, -1, signed_points);

@@ -318,13 +318,14 @@ std::vector<std::string> member_names(const std::string& path, hid_t group) {
   return names;
 }
 
-std::vector<DataArray> read_arrays(const std::string& path, hid_t root, const char* group_name,
-                                   std::map<std::string, double>* attributes) {
+std::vector<DataArray> read_arrays(const std::string& path, hid_t root, const char* group_name, int level,
+                                   const ArrayFilter& wanted, std::map<std::string, double>* attributes) {
   std::vector<DataArray> arrays;
   if (H5Lexists(root, group_name, H5P_DEFAULT) <= 0) return arrays;
   const Handle group(H5Gopen2(root, group_name, H5P_DEFAULT), H5Gclose,
                      fmt::format("{}: {} is not a group", path, group_name));
   for (const std::string& name : member_names(path, group)) {
+    if (wanted && !wanted(name, level)) continue;
     if (attributes != nullptr) {
       const Handle dataset(H5Dopen2(group, name.c_str(), H5P_DEFAULT), H5Dclose,
                            fmt::format("{}: the array {} cannot be opened", path, name));
@@ -357,7 +358,7 @@ void check_type(const std::string& path, hid_t root) {
     throw InputError(fmt::format("{}: a VTKHDF file of type '{}'; expected UnstructuredGrid", path, one_line(text)));
 }
 
-UnstructuredGrid parse(const std::string& path) {
+UnstructuredGrid parse(const std::string& path, const ArrayFilter& wanted) {
   const Session session;
   const Handle file(H5Fopen(path.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose,
                     path + ": not a readable HDF5 file (foreign, truncated or corrupt)");
@@ -366,8 +367,10 @@ UnstructuredGrid parse(const std::string& path) {
   const Handle root(H5Gopen2(file, "VTKHDF", H5P_DEFAULT), H5Gclose, foreign);
   check_type(path, root);
   UnstructuredGrid grid;
-  const std::vector<double> points = read_dataset<double>(path, root, "Points", 3);
-  grid.points = Eigen::Map<const VertexMatrix>(points.data(), static_cast<Eigen::Index>(points.size() / 3), 3);
+  {
+    const std::vector<double> points = read_dataset<double>(path, root, "Points", 3);
+    grid.points = Eigen::Map<const VertexMatrix>(points.data(), static_cast<Eigen::Index>(points.size() / 3), 3);
+  }
   grid.connectivity = read_dataset<std::int64_t>(path, root, "Connectivity", 1);
   grid.offsets = read_dataset<std::int64_t>(path, root, "Offsets", 1);
   grid.types = read_dataset<std::uint8_t>(path, root, "Types", 1);
@@ -378,16 +381,16 @@ UnstructuredGrid parse(const std::string& path) {
     if (count[0] != static_cast<std::int64_t>(value))
       throw InputError(fmt::format("{}: {} is {}, but the arrays hold {}", path, name, count[0], value));
   };
-  expect("NumberOfPoints", points.size() / 3);
+  expect("NumberOfPoints", static_cast<std::size_t>(grid.points.rows()));
   expect("NumberOfCells", grid.types.size());
   expect("NumberOfConnectivityIds", grid.connectivity.size());
-  grid.point_data = read_arrays(path, root, "PointData", nullptr);
-  grid.cell_data = read_arrays(path, root, "CellData", nullptr);
-  grid.field_data = read_arrays(path, root, "FieldData", &grid.attributes);
+  grid.point_data = read_arrays(path, root, "PointData", 0, wanted, nullptr);
+  grid.cell_data = read_arrays(path, root, "CellData", 0, wanted, nullptr);
+  grid.field_data = read_arrays(path, root, "FieldData", 0, wanted, &grid.attributes);
   if (H5Lexists(file, "hierarchy", H5P_DEFAULT) > 0) {
     const Handle hierarchy(H5Gopen2(file, "hierarchy", H5P_DEFAULT), H5Gclose, path + ": hierarchy is not a group");
     for (int l = 1; l <= 64 && H5Lexists(hierarchy, std::to_string(l).c_str(), H5P_DEFAULT) > 0; ++l)
-      grid.levels.push_back(read_arrays(path, hierarchy, std::to_string(l).c_str(), nullptr));
+      grid.levels.push_back(read_arrays(path, hierarchy, std::to_string(l).c_str(), l, wanted, nullptr));
   }
   check_lengths(path, grid);
   return grid;
@@ -413,14 +416,14 @@ const DataArray* UnstructuredGrid::find_point(const std::string& name) const { r
 const DataArray* UnstructuredGrid::find_cell(const std::string& name) const { return find_in(cell_data, name); }
 const DataArray* UnstructuredGrid::find_field(const std::string& name) const { return find_in(field_data, name); }
 
-UnstructuredGrid read_vtkhdf(const std::string& path) {
+UnstructuredGrid read_vtkhdf(const std::string& path, const ArrayFilter& wanted) {
   {
     const std::string bytes = read_text(path);
     if (bytes.empty()) throw InputError(path + ": the file is empty");
     if (bytes.find("\x89HDF\r\n\x1a\n") == std::string::npos) throw InputError(path + ": not an HDF5 file");
-    if (!has_valid_seal(bytes)) rehearse_reading(path, "VTKHDF", [&] { parse(path); });
+    if (!has_valid_seal(bytes)) rehearse_reading(path, "VTKHDF", [&] { parse(path, wanted); });
   }
-  return parse(path);
+  return parse(path, wanted);
 }
 
 void write_vtkhdf(const std::string& path, const UnstructuredGrid& grid) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <string>
 #include <variant>
@@ -38,8 +39,10 @@ struct UnstructuredGrid {
   const DataArray* find_field(const std::string& name) const;
 };
 
-// Throws: InputError for a missing, truncated or foreign file, lengths that disagree, an index out of range.
-UnstructuredGrid read_vtkhdf(const std::string& path);
+// `wanted`: whether to read an array of points, cells or fields, or one of a hierarchy's level (`level` > 0); none:
+// all. Throws: InputError for a missing, truncated or foreign file, lengths that disagree, an index out of range.
+using ArrayFilter = std::function<bool(const std::string& name, int level)>;
+UnstructuredGrid read_vtkhdf(const std::string& path, const ArrayFilter& wanted = {});
 // Same grid, same bytes (object times are off). Written atomically.
 void write_vtkhdf(const std::string& path, const UnstructuredGrid& grid);
 
@@ -47,7 +50,9 @@ void write_vtkhdf(const std::string& path, const UnstructuredGrid& grid);
 TetrahedralMesh read_tetrahedra(const std::string& path);
 void write_tetrahedra(const std::string& path, const TetrahedralMesh& mesh);
 
-Polygrid read_polygrid(const std::string& path);
+// `cells`: all but the graphs and the surface's normals, which stay empty: less than half of the memory.
+enum class PolygridParts { all, cells };
+Polygrid read_polygrid(const std::string& path, PolygridParts parts = PolygridParts::all);
 void write_polygrid(const std::string& path, const Polygrid& polygrid);
 
 }  // namespace shellgrid

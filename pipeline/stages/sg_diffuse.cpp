@@ -155,12 +155,13 @@ int main(int argc, char** argv) {
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
     const Scene scene = read_scene(scene_path);
-    const Polygrid polygrid = read_polygrid(polygrid_path);
+    options.operator_name = method == "scene" ? scene.method.operator_name : method;
+    const Polygrid polygrid =
+        read_polygrid(polygrid_path, options.operator_name == "paper" ? PolygridParts::all : PolygridParts::cells);
     const TriangleMesh surface = read_mesh(surface_path).mesh;
     ShellVolume shell;
     if (!shell_path.empty()) shell = read_shell_volume(shell_path);
     options.adaptive = !whole_grid;
-    options.operator_name = method == "scene" ? scene.method.operator_name : method;
     options.source = source == "scene" ? scene.method.source : source;
     options.tolerance = tolerance > 0 ? tolerance : scene.method.tolerance;
     options.paper_depths.assign(depths.begin(), depths.end());

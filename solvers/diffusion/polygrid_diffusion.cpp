@@ -19,6 +19,12 @@
 namespace shellgrid {
 namespace {
 
+// Of the polygrid's graph: core cells and boundary quads.
+double node_count(const Polygrid& polygrid) {
+  return static_cast<double>(std::count(polygrid.cell_layer.begin(), polygrid.cell_layer.end(), 0) +
+                             polygrid.boundary_quads.rows());
+}
+
 std::string percent(double share) {
   char text[32];
   std::snprintf(text, sizeof text, share < 0.1 ? "%.2g %%" : "%.0f %%", 100 * share);
@@ -69,7 +75,7 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
   if (result.under_resolved > 0.01) {
     const auto rank = reaches.begin() + static_cast<std::ptrdiff_t>(0.99 * static_cast<double>(count - 1));
     std::nth_element(reaches.begin(), rank, reaches.end());
-    const double nodes = static_cast<double>(polygrid.graph.interior.rows() + polygrid.graph.boundary.rows());
+    const double nodes = node_count(polygrid);
     progress.warn(
         fmt::format("the diffuse mean free path spans fewer than 4 cells in {} of the object: expect errors "
                     "above 0.5 %; 4 cells would take {:.1g} nodes (method.nodes), this grid has {:.2g}",
@@ -129,8 +135,7 @@ void judge_solution(const Polygrid& polygrid, const DiffusionOptions& options, c
     progress.warn(fmt::format(
         "the grid receives {} less or more light than the surface, from which it stays up to {:.3g} mm away, its cells "
         "{:.3g} mm wide; try more nodes (method.nodes) than its {:.2g}",
-        percent(lost), result.largest_distance, polygrid.spacing,
-        static_cast<double>(polygrid.graph.interior.rows() + polygrid.graph.boundary.rows())));
+        percent(lost), result.largest_distance, polygrid.spacing, node_count(polygrid)));
 }
 
 // What either operator yields: at the polygrid's points.

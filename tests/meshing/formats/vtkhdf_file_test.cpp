@@ -176,6 +176,44 @@ TEST(VtkhdfFile, ThePolygridsHierarchyComesBackAndStandsBesideVtk) {
   EXPECT_NE(input_error_of([&] { read_polygrid(folder / "p.hdf"); }).find("expected 1×1"), std::string::npos);
 }
 
+TEST(VtkhdfFile, PolygridsCellsAreReadWithoutGraphs) {
+  const TemporaryFolder folder;
+  Polygrid p = one_cell();
+  p.cell_layer = {0};
+  PolygridLevel level;
+  level.graph = p.graph;
+  level.lattice.resize(1, 3);
+  level.lattice << -1, 0, 7;
+  level.parent = {0};
+  level.boundary_parent = {0, 1, 2, 3, -1, 5};
+  p.hierarchy = {level, level};
+  write_polygrid(folder / "p.hdf", p);
+  const auto read_cells = [&] { return read_polygrid(folder / "p.hdf", PolygridParts::cells); };
+  const Polygrid read = read_cells();
+  EXPECT_EQ(read.points, p.points);
+  EXPECT_EQ(read.cells, p.cells);
+  EXPECT_EQ(read.cell_layer, p.cell_layer);
+  EXPECT_EQ(read.cell_lattice, p.cell_lattice);
+  EXPECT_EQ(read.point_lattice, p.point_lattice);
+  EXPECT_EQ(read.outer_twin, p.outer_twin);
+  EXPECT_EQ(read.boundary_quads, p.boundary_quads);
+  EXPECT_EQ(read.spacing, p.spacing);
+  EXPECT_EQ(read.point_normal.rows(), 0);
+  EXPECT_EQ(read.graph.interior.rows(), 0);
+  ASSERT_EQ(read.hierarchy.size(), 2u);
+  for (const PolygridLevel& coarse : read.hierarchy) {
+    EXPECT_EQ(coarse.lattice, level.lattice);
+    EXPECT_EQ(coarse.parent, level.parent);
+    EXPECT_EQ(coarse.graph.interior.rows(), 0);
+  }
+  p.hierarchy[1].parent = {1};
+  write_polygrid(folder / "p.hdf", p);
+  EXPECT_NE(input_error_of(read_cells).find("hierarchy/2: the array parent holds 1"), std::string::npos);
+  p.hierarchy[1].parent = {0, 0};
+  write_polygrid(folder / "p.hdf", p);
+  EXPECT_NE(input_error_of(read_cells).find("expected 1×1"), std::string::npos);
+}
+
 TEST(VtkhdfFile, PolygridIndicesAreChecked) {
   const TemporaryFolder folder;
   Polygrid p = one_cell();
@@ -224,6 +262,8 @@ TEST(VtkhdfFile, PolygridsAndTetrahedraSurviveDamage) {
   write_polygrid(path, one_cell());
   expect_survives_damage(
       path, [&] { read_polygrid(path); }, 20, 120);
+  expect_survives_damage(
+      path, [&] { read_polygrid(path, PolygridParts::cells); }, 5, 30);
   TetrahedralMesh mesh;
   mesh.points.resize(4, 3);
   mesh.points << 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1;
