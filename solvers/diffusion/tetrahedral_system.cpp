@@ -32,50 +32,79 @@ void check_mesh(const TetrahedralMesh& mesh, const std::vector<Rgb>& absorption,
       throw InputError("tetrahedra: a coefficient of number " + std::to_string(t) + " is not positive or not finite");
 }
 
-struct Coupling {
-  std::int32_t row, column;
-  std::size_t number;
-  Double4 value;
-};
+// Of each corner pair of a tetrahedron the coupling for D = 1: −∫ ∇h_a·∇h_b.
+using EdgeTerms = std::array<double, 6>;
 
-// Rows of the couplings' sums; equal pairs are added in the order of their numbers.
-void set_rows(std::vector<Coupling>& couplings, std::size_t size, CouplingOperator& matrix) {
-  std::sort(couplings.begin(), couplings.end(), [](const Coupling& a, const Coupling& b) {
-    return std::tie(a.row, a.column, a.number) < std::tie(b.row, b.column, b.number);
-  });
+// Rows of the couplings' sums, each in the order of the tetrahedra.
+void gather_rows(const TetrahedralMesh& mesh, const std::vector<EdgeTerms>& terms, const std::vector<Rgb>& extinction,
+                 std::size_t size, CouplingOperator& matrix) {
+  // Of each point the tetrahedra's edges that start there.
+  struct Part {
+    std::int32_t column, tetrahedron, edge;
+    bool operator<(const Part& b) const {
+      return std::tie(column, tetrahedron, edge) < std::tie(b.column, b.tetrahedron, b.edge);
+    }
+  };
+  std::vector<std::int64_t> start(size + 1, 0);
+  for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t)
+    for (int k = 0; k < 4; ++k) start[mesh.tetrahedra(t, k) + 1] += 3;
+  for (std::size_t i = 0; i < size; ++i) start[i + 1] += start[i];
+  std::vector<Part> parts(static_cast<std::size_t>(start[size]));
+  std::vector<std::int64_t> next(start.begin(), start.end() - 1);
+  for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t)
+    for (int e = 0; e < 6; ++e) {
+      const std::int32_t a = mesh.tetrahedra(t, edges[e][0]), b = mesh.tetrahedra(t, edges[e][1]);
+      parts[next[a]++] = {b, static_cast<std::int32_t>(t), e};
+      parts[next[b]++] = {a, static_cast<std::int32_t>(t), e};
+    }
   matrix.row_start.assign(size + 1, 0);
-  for (std::size_t first = 0; first < couplings.size();) {
-    std::size_t last = first;
-    Double4 sum{};
-    for (; last < couplings.size() && couplings[last].row == couplings[first].row &&
-           couplings[last].column == couplings[first].column;
-         ++last)
-      sum += couplings[last].value;
-    matrix.column.push_back(couplings[first].column);
-    matrix.coupling.push_back(to_float(sum));
-    ++matrix.row_start[couplings[first].row + 1];
-    first = last;
+  for (std::size_t i = 0; i < size; ++i) {
+    std::sort(parts.begin() + start[i], parts.begin() + start[i + 1]);
+    for (std::int64_t k = start[i]; k < start[i + 1];) {
+      const std::int32_t column = parts[k].column;
+      Double4 sum{};
+      for (; k < start[i + 1] && parts[k].column == column; ++k) {
+        const std::int32_t t = parts[k].tetrahedron;
+        sum += terms[t][parts[k].edge] * (1 / (3 * (to_double(to_lanes(extinction[t])) + Double4{0, 0, 0, 1})));
+      }
+      matrix.column.push_back(column);
+      matrix.coupling.push_back(to_float(sum));
+    }
+    matrix.row_start[i + 1] = static_cast<std::int64_t>(matrix.column.size());
   }
-  for (std::size_t i = 0; i < size; ++i) matrix.row_start[i + 1] += matrix.row_start[i];
 }
 
 void add_boundary_areas(const TetrahedralMesh& mesh, DiffusionSystem& system) {
-  std::vector<std::array<std::int32_t, 3>> all;
-  for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t)
-    for (const auto& face : faces) {
-      std::array<std::int32_t, 3> corners;
-      for (int k = 0; k < 3; ++k) corners[k] = mesh.tetrahedra(t, face[k]);
-      std::sort(corners.begin(), corners.end());
-      all.push_back(corners);
+  // Of each point the other two corners of the faces whose first one it is.
+  const std::size_t size = system.boundary_area.size();
+  std::vector<std::int64_t> start(size + 1, 0);
+  const auto for_each_face = [&](const auto& act) {
+    for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t)
+      for (const auto& face : faces) {
+        std::array<std::int32_t, 3> corners;
+        for (int k = 0; k < 3; ++k) corners[k] = mesh.tetrahedra(t, face[k]);
+        std::sort(corners.begin(), corners.end());
+        act(corners);
+      }
+  };
+  for_each_face([&](const std::array<std::int32_t, 3>& corners) { ++start[corners[0] + 1]; });
+  for (std::size_t i = 0; i < size; ++i) start[i + 1] += start[i];
+  std::vector<std::array<std::int32_t, 2>> all(static_cast<std::size_t>(start[size]));
+  std::vector<std::int64_t> next(start.begin(), start.end() - 1);
+  for_each_face([&](const std::array<std::int32_t, 3>& corners) {
+    all[next[corners[0]]++] = {corners[1], corners[2]};
+  });
+  for (std::size_t p = 0; p < size; ++p) {
+    std::sort(all.begin() + start[p], all.begin() + start[p + 1]);
+    for (std::int64_t i = start[p]; i < start[p + 1]; ++i) {
+      if ((i > start[p] && all[i] == all[i - 1]) || (i + 1 < start[p + 1] && all[i] == all[i + 1])) continue;
+      const Vec3 a = mesh.points.row(static_cast<Eigen::Index>(p)).transpose(),
+                 b = mesh.points.row(all[i][0]).transpose(), c = mesh.points.row(all[i][1]).transpose();
+      const double area = 0.5 * (b - a).cross(c - a).norm();
+      system.boundary_area[p] += area / 3;
+      for (std::int32_t other : all[i]) system.boundary_area[other] += area / 3;
+      system.surface_area += area;
     }
-  std::sort(all.begin(), all.end());
-  for (std::size_t i = 0; i < all.size(); ++i) {
-    if ((i > 0 && all[i] == all[i - 1]) || (i + 1 < all.size() && all[i] == all[i + 1])) continue;
-    const Vec3 a = mesh.points.row(all[i][0]).transpose(), b = mesh.points.row(all[i][1]).transpose(),
-               c = mesh.points.row(all[i][2]).transpose();
-    const double area = 0.5 * (b - a).cross(c - a).norm();
-    for (std::int32_t p : all[i]) system.boundary_area[p] += area / 3;
-    system.surface_area += area;
   }
 }
 
@@ -91,8 +120,7 @@ DiffusionSystem assemble_tetrahedral_system(const TetrahedralMesh& mesh, const s
   system.current_reflectance = fresnel.current_reflectance;
   system.absorption.assign(size, Double4{});
   system.boundary_area.assign(size, 0.0);
-  std::vector<Coupling> couplings;
-  couplings.reserve(12 * static_cast<std::size_t>(mesh.tetrahedra.rows()));
+  std::vector<EdgeTerms> terms(static_cast<std::size_t>(mesh.tetrahedra.rows()));
   for (Eigen::Index t = 0; t < mesh.tetrahedra.rows(); ++t) {
     Vec3 x[4], normal[4];
     for (int k = 0; k < 4; ++k) x[k] = mesh.points.row(mesh.tetrahedra(t, k)).transpose();
@@ -105,17 +133,12 @@ DiffusionSystem assemble_tetrahedral_system(const TetrahedralMesh& mesh, const s
     normal[2] = (x[3] - x[0]).cross(x[1] - x[0]);
     normal[3] = (x[1] - x[0]).cross(x[2] - x[0]);
     const auto i = static_cast<std::size_t>(t);
-    const Double4 diffusion = 1 / (3 * (to_double(to_lanes(reduced_extinction[i])) + Double4{0, 0, 0, 1}));
-    for (const auto& edge : edges) {
-      const Double4 value = -normal[edge[0]].dot(normal[edge[1]]) / (36 * volume) * diffusion;
-      couplings.push_back({mesh.tetrahedra(t, edge[0]), mesh.tetrahedra(t, edge[1]), couplings.size(), value});
-      couplings.push_back({mesh.tetrahedra(t, edge[1]), mesh.tetrahedra(t, edge[0]), couplings.size(), value});
-    }
+    for (int e = 0; e < 6; ++e) terms[i][e] = -normal[edges[e][0]].dot(normal[edges[e][1]]) / (36 * volume);
     for (int k = 0; k < 4; ++k)
       system.absorption[mesh.tetrahedra(t, k)] += volume / 4 * to_double(to_lanes(absorption[i]));
     system.volume += volume;
   }
-  set_rows(couplings, size, system.matrix);
+  gather_rows(mesh, terms, reduced_extinction, size, system.matrix);
   add_boundary_areas(mesh, system);
   set_reaction(system);
   return system;
