@@ -196,9 +196,11 @@ void run_own(const Row& blank, const Polygrid& grid, const Scene& scene, const S
     run.unknowns = solver.size();
     run.setup = setup;
     run.solve = {1e300, 1e300};
-    for (int k = 0; k < 3; ++k) {
+    double spent = 0;
+    for (int k = 0; k < 3 && spent < 3; ++k) {
       if (warm) solver.solve(own.light(false), tolerance);
       const Seconds s = time_of([&] { solver.solve(own.light(warm), tolerance, warm); });
+      spent += s.processor;
       if (s.processor < run.solve.processor) run.solve = s;
     }
     run.error = difference(solver.surface().area, solver.exitance(own.light(warm)), exact);
@@ -571,7 +573,7 @@ int main(int argc, char** argv) {
     sizes = long_form() ? std::vector<std::string>{"1e5", "3e5", "1e6", "3e6"} : std::vector<std::string>{"1e5", "3e5"};
   Scene scene((folder / "surface.ply").string());
   scene.limits.triad = triad_speed();
-  if (long_form()) scene.limits.seconds = 600;
+  if (long_form()) scene.limits.seconds = 60;
   const auto file = [&](const char* kind, const std::string& size) {
     return (folder / (std::string(kind) + "-" + size + ".hdf")).string();
   };

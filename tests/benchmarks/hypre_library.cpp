@@ -36,7 +36,7 @@ void check(HYPRE_Int code, const char* what) {
   throw std::runtime_error(what);
 }
 
-class HypreSolver : public LibrarySolver {
+class HypreSolver : public PreconditionedSolver {
  public:
   HypreSolver() { start_once(); }
   HypreSolver(const HypreSolver&) = delete;
@@ -46,6 +46,8 @@ class HypreSolver : public LibrarySolver {
   void prepare(const Eigen::SparseMatrix<double>& matrix) override {
     clear();
     size_ = static_cast<HYPRE_BigInt>(matrix.rows());
+    rows_.resize(static_cast<std::size_t>(size_));
+    std::iota(rows_.begin(), rows_.end(), 0);
     HYPRE_IJMatrixCreate(MPI_COMM_WORLD, 0, size_ - 1, 0, size_ - 1, &matrix_);
     HYPRE_IJMatrixSetObjectType(matrix_, HYPRE_PARCSR);
     HYPRE_IJMatrixInitialize(matrix_);
@@ -84,12 +86,7 @@ class HypreSolver : public LibrarySolver {
   }
 
   Eigen::VectorXd solve(const Eigen::VectorXd& right_side, double tolerance, int most_iterations) override {
-    std::vector<HYPRE_BigInt> rows(static_cast<std::size_t>(size_));
-    std::iota(rows.begin(), rows.end(), 0);
-    const Eigen::VectorXd zero = Eigen::VectorXd::Zero(right_side.size());
-    const HYPRE_Int count = static_cast<HYPRE_Int>(size_);
-    HYPRE_IJVectorSetValues(right_side_, count, rows.data(), right_side.data());
-    HYPRE_IJVectorSetValues(solution_, count, rows.data(), zero.data());
+    start_from_zero(right_side);
     HYPRE_PCGSetTol(pcg_, tolerance);
     HYPRE_PCGSetMaxIter(pcg_, most_iterations > 0 ? most_iterations : 1000);
     const HYPRE_Int code = HYPRE_ParCSRPCGSolve(pcg_, parallel_matrix_, parallel(right_side_), parallel(solution_));
@@ -97,12 +94,27 @@ class HypreSolver : public LibrarySolver {
       HYPRE_ClearAllErrors();
     else
       check(code, "BoomerAMG with conjugate gradients did not converge");
-    Eigen::VectorXd x(right_side.size());
-    HYPRE_IJVectorGetValues(solution_, count, rows.data(), x.data());
-    return x;
+    return solution();
+  }
+
+  Eigen::VectorXd precondition(const Eigen::VectorXd& residual) override {
+    start_from_zero(residual);
+    HYPRE_BoomerAMGSolve(amg_, parallel_matrix_, parallel(right_side_), parallel(solution_));
+    HYPRE_ClearAllErrors();
+    return solution();
   }
 
  private:
+  void start_from_zero(const Eigen::VectorXd& right_side) {
+    const Eigen::VectorXd zero = Eigen::VectorXd::Zero(right_side.size());
+    HYPRE_IJVectorSetValues(right_side_, static_cast<HYPRE_Int>(size_), rows_.data(), right_side.data());
+    HYPRE_IJVectorSetValues(solution_, static_cast<HYPRE_Int>(size_), rows_.data(), zero.data());
+  }
+  Eigen::VectorXd solution() const {
+    Eigen::VectorXd x(static_cast<Eigen::Index>(size_));
+    HYPRE_IJVectorGetValues(solution_, static_cast<HYPRE_Int>(size_), rows_.data(), x.data());
+    return x;
+  }
   HYPRE_IJVector vector() const {
     HYPRE_IJVector v = nullptr;
     HYPRE_IJVectorCreate(MPI_COMM_WORLD, 0, size_ - 1, &v);
@@ -127,6 +139,7 @@ class HypreSolver : public LibrarySolver {
   }
 
   HYPRE_BigInt size_ = 0;
+  std::vector<HYPRE_BigInt> rows_;  // 0, 1, …
   HYPRE_IJMatrix matrix_ = nullptr;
   HYPRE_ParCSRMatrix parallel_matrix_ = nullptr;
   HYPRE_IJVector right_side_ = nullptr, solution_ = nullptr;
@@ -135,6 +148,6 @@ class HypreSolver : public LibrarySolver {
 
 }  // namespace
 
-std::unique_ptr<LibrarySolver> hypre_solver() { return std::make_unique<HypreSolver>(); }
+std::unique_ptr<PreconditionedSolver> hypre_solver() { return std::make_unique<HypreSolver>(); }
 
 }  // namespace shellgrid::test

@@ -26,10 +26,16 @@ class FactorSolver : public LibrarySolver {
   virtual FactorCost analyze(const Eigen::SparseMatrix<double>& matrix) = 0;
 };
 
+// Conjugate gradients with a preconditioner that can be had alone.
+class PreconditionedSolver : public LibrarySolver {
+ public:
+  virtual Eigen::VectorXd precondition(const Eigen::VectorXd& residual) = 0;
+};
+
 // CHOLMOD's supernodal factorisation.
 std::unique_ptr<FactorSolver> cholmod_solver();
 // hypre: conjugate gradients around one V-cycle of BoomerAMG (HMIS coarsening, aggressive on the first level,
 // extended+i interpolation, symmetric hybrid Gauss–Seidel).
-std::unique_ptr<LibrarySolver> hypre_solver();
+std::unique_ptr<PreconditionedSolver> hypre_solver();
 
 }  // namespace shellgrid::test
