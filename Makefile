@@ -98,7 +98,7 @@ bench: build assets/meshes/bunny00.off $(bunny_sizes:%=$(bunny)/polygrid-%.hdf) 
 	@$(BUILD)/bin/multigrid_benchmark $(bunny)/polygrid-1e6.hdf > out/bench/multigrid.txt && cat out/bench/multigrid.txt
 	@for program in $(BUILD)/bin/*_benchmark; do \
 	  [ -x "$$program" ] || continue; name=$$(basename "$$program" _benchmark); echo "$$name"; \
-	  case "$$name" in multigrid) continue;; diffusion) inputs=$(bunny);; *) inputs=;; esac; \
+	  case "$$name" in multigrid) continue;; diffusion|diffusion_cost) inputs=$(bunny);; *) inputs=;; esac; \
 	  "$$program" $$inputs > "out/bench/$$name.csv" && cat "out/bench/$$name.csv" || exit 1; \
 	  plot="tests/benchmarks/$$name.gnuplot"; \
 	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot" || exit 1; fi; \
