@@ -109,6 +109,24 @@ float srgb_to_linear(float value) {
   return value <= 0.04045f ? value / 12.92f : std::pow((value + 0.055f) / 1.055f, 2.4f);
 }
 
+// The header of a PNG file in memory, its size believable. To be finished or freed.
+png_image open_png(const std::string& path, const std::string& bytes) {
+  if (bytes.empty()) throw InputError(path + ": the file is empty");
+  png_image header{};
+  header.version = PNG_IMAGE_VERSION;
+  if (!png_image_begin_read_from_memory(&header, bytes.data(), bytes.size()))
+    throw InputError(fmt::format("{}: not a readable PNG file: {}", path, one_line(header.message)));
+  const std::uint64_t samples = std::uint64_t{3} * header.width * header.height;
+  // Deflate packs at most 1032 to 1, and a pixel takes at least one bit.
+  if (samples > most_samples || samples / (3 * 8 * 1032) > bytes.size()) {
+    const std::string message = fmt::format("{}: the header promises {}×{} pixels, too many for a file of {} bytes",
+                                            path, header.width, header.height, bytes.size());
+    png_image_free(&header);
+    throw InputError(message);
+  }
+  return header;
+}
+
 }  // namespace
 
 Image read_exr(const std::string& path) {
@@ -156,20 +174,9 @@ void write_png(const std::string& path, int width, int height, const std::vector
 
 Image read_png(const std::string& path) {
   const std::string bytes = read_text(path);
-  if (bytes.empty()) throw InputError(path + ": the file is empty");
-  png_image header{};
-  header.version = PNG_IMAGE_VERSION;
-  if (!png_image_begin_read_from_memory(&header, bytes.data(), bytes.size()))
-    throw InputError(fmt::format("{}: not a readable PNG file: {}", path, one_line(header.message)));
+  png_image header = open_png(path, bytes);
   header.format = PNG_FORMAT_RGB;
-  const std::uint64_t samples = std::uint64_t{3} * header.width * header.height;
-  // Deflate packs at most 1032 to 1, and a pixel takes at least one bit.
-  if (samples > most_samples || samples / (3 * 8 * 1032) > bytes.size()) {
-    const std::string message = fmt::format("{}: the header promises {}×{} pixels, too many for a file of {} bytes",
-                                            path, header.width, header.height, bytes.size());
-    png_image_free(&header);
-    throw InputError(message);
-  }
+  const std::size_t samples = std::size_t{3} * header.width * header.height;
   std::vector<std::uint8_t> rgb(samples);
   const png_color black{0, 0, 0};
   if (!png_image_finish_read(&header, &black, rgb.data(), 0, nullptr))
@@ -184,6 +191,28 @@ Image read_png(const std::string& path) {
     for (std::size_t i = 0; i < channel.values.size(); ++i)
       channel.values[i] = linear[rgb[3 * i + static_cast<std::size_t>(c)]];
   }
+  return image;
+}
+
+Image read_grey_png(const std::string& path) {
+  const std::string bytes = read_text(path);
+  png_image header = open_png(path, bytes);
+  const bool wide = (header.format & PNG_FORMAT_FLAG_LINEAR) != 0;
+  header.format = wide ? PNG_FORMAT_LINEAR_Y : PNG_FORMAT_GRAY;
+  const std::size_t samples = std::size_t{1} * header.width * header.height;
+  std::vector<std::uint8_t> narrow_values(wide ? 0 : samples);
+  std::vector<std::uint16_t> wide_values(wide ? samples : 0);
+  void* values = wide ? static_cast<void*>(wide_values.data()) : narrow_values.data();
+  const png_color black{0, 0, 0};
+  if (!png_image_finish_read(&header, &black, values, 0, nullptr))
+    throw InputError(fmt::format("{}: not a readable PNG file: {}", path, one_line(header.message)));
+  Image image;
+  image.width = static_cast<int>(header.width);
+  image.height = static_cast<int>(header.height);
+  Image::Channel& channel = image.add("Y");
+  for (std::size_t i = 0; i < samples; ++i)
+    channel.values[i] =
+        wide ? static_cast<float>(wide_values[i]) / 65535.0f : static_cast<float>(narrow_values[i]) / 255.0f;
   return image;
 }
 

@@ -17,6 +17,7 @@
 #include "pipeline/scene/pattern_description.h"
 #include "pipeline/scene/sample_recipe.h"
 #include "synthesis/sample_archive.h"
+#include "synthesis/sample_resize.h"
 
 namespace shellgrid {
 namespace {
@@ -38,9 +39,8 @@ void cut(MaterialSample& sample, double thickness, const std::string& path) {
   if (!sample.surface_ior.empty()) sample.surface_ior.resize(count);
 }
 
-// A volume's own voxel, thickness and index stand unless others were given.
+// A volume's own thickness and index stand unless others were given.
 void fit_volume(MaterialSample& sample, const SampleExtent& extent, bool ior_given, const std::string& path) {
-  if (extent.voxel_given) sample.voxel = extent.voxel;
   if (ior_given) sample.ior = extent.ior;
   if (extent.thickness_given) cut(sample, extent.thickness, path);
 }
@@ -93,6 +93,14 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
     else
       describe_procedural(root, type, recipe);
   }
+  // Measured values are mirrored before they are classified.
+  if (root.boolean("mirror", false) && !root.has("classes")) {
+    recipe.make = [make = recipe.make](const SampleExtent& wanted) {
+      MadeSample made = make(wanted);
+      made.sample = mirror_sample(made.sample);
+      return made;
+    };
+  }
   root.finish();
   return recipe;
 }
@@ -105,7 +113,7 @@ MadeSample make_sample(const std::string& path, const SampleOverrides& overrides
     const VdbArchive archive = read_vdb(path);
     made.sample = is_sample_archive(archive) ? restore_sample(archive) : import_sample(archive, {});
     SampleExtent extent;
-    extent.voxel_given = overrides.voxel.has_value(), extent.voxel = overrides.voxel.value_or(0);
+    if (overrides.voxel) made.sample.voxel = *overrides.voxel;
     extent.thickness_given = overrides.thickness.has_value(), extent.thickness = overrides.thickness.value_or(0);
     extent.ior = overrides.ior.value_or(0);
     fit_volume(made.sample, extent, overrides.ior.has_value(), path);

@@ -55,7 +55,12 @@ TEST(DamagedSampleDescription, SurvivesDamage) {
       R"({"type": "meshes", "size": [9, 8], "voxel": 0.4, "thickness": 3, "samples_per_edge": 2, "top": 0.2, "parts": [
           {"ground": 0, "material": {"named": "skin1"}}, {"mesh": "part.ply", "free": true, "priority": 1, "scale": 0.5,
           "position": [1, 1, 0], "rotation": [0, 10, 20], "scatter": 2, "random_turns": true}]})",
+      R"({"type": "volume", "file": "v.raw", "raw": {"size": [6, 5, 4], "type": "uint8", "offset": 3}, "spacing": 0.4,
+          "down": "-z", "mirror": true, "surface": 0.5, "borders": "traced", "crop": {"first": [1, 0, 0],
+          "size": [5, 5, 3]}, "classes": [{"from": 0, "to": 60, "free": true}, {"value": 70,
+          "material": {"named": "skin1"}}]})",
   };
+  write_raw(folder / "v.raw", std::string(60, 'A') + std::string(63, 'z'));
   write_ply(folder / "part.ply", {octahedron(), {}});
   const std::string path = folder / "sample.json";
   for (const std::string& description : descriptions) {

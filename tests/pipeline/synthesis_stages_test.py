@@ -162,6 +162,11 @@ class Chain(unittest.TestCase):
             ({"type": "meshes", "parts": [{"mesh": "nowhere.ply", "material": BODY}]}, "nowhere.ply", "No such file"),
             ({"type": "meshes", "parts": [{"mesh": "nowhere.ply"}]}, "parts[0].material", "missing"),
             ({"type": "meshes", "parts": []}, "parts", "at least one"),
+            ({"type": "volume", "file": "ct.raw", "classes": [{"value": 1, "material": BODY}]}, "raw", "is missing"),
+            ({"type": "volume", "file": "ct.nrrd"}, "classes", "is missing"),
+            ({"type": "volume", "file": "ct.nrrd", "classes": [{"value": 1}]}, "classes[0].material", "missing"),
+            ({"type": "volume", "file": "ct.nrrd", "classes": [{"value": 1, "material": BODY}]}, "ct.nrrd", "No such file"),
+            ({"type": "volume", "images": [], "classes": [{"value": 1, "material": BODY}]}, "file", "list of images"),
             (description(type="bumps", materials={"body": BODY, "bump": VEIN}, thickness=1, veins=None, warp=None),
              "thickness", "4 mm"),
         ]
