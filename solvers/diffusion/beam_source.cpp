@@ -20,7 +20,7 @@
 namespace shellgrid {
 namespace {
 
-constexpr double negligible = 1e-4;  // of a beam's power
+constexpr double negligible = 1e-3;  // of a beam's power
 constexpr int most_steps = 20000, most_bounces = 64;
 constexpr double first_depth = 0.15, last_depth = 0.6, depth_growth = 1.2;  // optical, of steps
 
@@ -79,6 +79,7 @@ class BeamTracer {
     Double4 power = beam.power;
     ++tally_.beams;
     tally_.entering += power;
+    scattered_ = absorbed_ = left_ = Double4{};
     double depth = first_depth;
     int bounces = 0;
     for (int step = 0; step < most_steps && bounces <= most_bounces; ++step) {
@@ -109,7 +110,7 @@ class BeamTracer {
       const double cosine = direction.dot(normal);
       if (neighbours_.quad[outside.cell][face] >= 0) {
         const double reflected = fresnel_reflectance(std::clamp(cosine, 0.0, 1.0), 1 / ior_);
-        tally_.leaving += (1 - reflected) * power;
+        left_ += (1 - reflected) * power;
         power *= reflected;
       }
       direction = (direction - 2 * std::max(cosine, 0.0) * normal).normalized();
@@ -143,21 +144,28 @@ class BeamTracer {
             to_double(to_lanes(coefficients_.reduced_extinction[at]))};
   }
 
-  // Halves the step that left the grid until its end is known; `end` becomes the last place inside.
+  // How much of a step stays in the grid; `end` becomes the last place there. `outside` and `face`: where the whole
+  // step ends, if that is known (face ≥ 0), then where it leaves. Newton's steps to the face, or halvings where they
+  // fail.
   double way_to_surface(const Vec3& point, const Vec3& direction, double length, const CellPlace& start, CellPlace& end,
                         CellPlace& outside, int& face) const {
     double inside = 0, beyond = length;
     end = start;
-    for (int halving = 0; halving < 24; ++halving) {
-      const double middle = 0.5 * (inside + beyond);
+    for (int trial = 0; trial < 24; ++trial) {
+      double way = 0.5 * (inside + beyond);
+      if (face >= 0 && trial < 8) {
+        const double first_order = beyond - way_past_face(polygrid_, outside, face, direction);
+        if (first_order > inside && first_order < beyond) way = first_order;
+      }
       CellPlace probe = end;
       int left_by = -1;
-      const WalkEnd outcome = walk_to(polygrid_, neighbours_, point + middle * direction, probe, left_by);
+      const WalkEnd outcome = walk_to(polygrid_, neighbours_, point + way * direction, probe, left_by);
       if (outcome == WalkEnd::inside) {
-        inside = middle;
+        inside = way;
         end = probe;
+        if (face >= 0 && probe.cell == outside.cell && std::abs(probe.reference[face / 2] - face % 2) < 1e-7) break;
       } else {
-        beyond = middle;
+        beyond = way;
         if (outcome == WalkEnd::surface) outside = probe, face = left_by;
       }
     }
@@ -183,18 +191,29 @@ class BeamTracer {
       const double scattered = lost - absorbed;
       at_end[c] = scattered * centroid;
       at_start[c] = scattered - at_end[c];
-      tally_.absorbed[c] += absorbed;
+      absorbed_[c] += absorbed;
       power[c] -= lost;
     }
+    scattered_ += at_start + at_end;
     scatter(start, at_start);
     scatter(end, at_end);
   }
 
+  // The end of a beam: its rest goes the ways that it has gone so far.
   void leave_rest(const CellPlace& place, Double4 power) {
     const Extinction here = extinction(place);
-    const Double4 absorbed = power * safe_quotient(here.absorption, here.total);
-    tally_.absorbed += absorbed;
-    scatter(place, power - absorbed);
+    const Double4 gone = scattered_ + absorbed_ + left_;
+    for (int c = 0; c < 3; ++c) {
+      const bool known = gone[c] > 0;
+      const double absorbed = power[c] * (known ? absorbed_[c] / gone[c] : here.absorption[c] / here.total[c]);
+      const double left = known ? power[c] * (left_[c] / gone[c]) : 0;
+      absorbed_[c] += absorbed;
+      left_[c] += left;
+      power[c] = std::max(0.0, power[c] - absorbed - left);
+    }
+    scatter(place, power);
+    tally_.absorbed += absorbed_;
+    tally_.leaving += left_;
   }
 
   const Polygrid& polygrid_;
@@ -203,6 +222,7 @@ class BeamTracer {
   double ior_;
   SparseSum& sum_;
   Tally& tally_;
+  Double4 scattered_ = {}, absorbed_ = {}, left_ = {};  // of the beam's power so far
 };
 
 struct QuadPoint {
@@ -229,12 +249,11 @@ Vec3 refracted(const Vec3& towards, const Vec3& normal, double cosine, double io
   return (-towards / ior + (cosine / ior - inside) * normal).normalized();
 }
 
-}  // namespace
+using BeamsOf = std::function<void(std::int32_t quad, std::vector<EnteringBeam>& list)>;
 
-BeamSource trace_beams(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
-                       const std::function<void(std::int32_t quad, std::vector<EnteringBeam>& list)>& beams_of) {
+BeamSource trace(const Polygrid& polygrid, const CellNeighbours& neighbours, const CellCoefficients& coefficients,
+                 double ior, const BeamsOf& beams_of) {
   if (!(ior >= 1)) throw InputError("the refractive index must be at least 1");
-  const CellNeighbours neighbours(polygrid);
   const auto quads = static_cast<std::size_t>(polygrid.boundary_quads.rows());
   constexpr std::size_t chunk = 128;
   struct Part {
@@ -271,54 +290,130 @@ BeamSource trace_beams(const Polygrid& polygrid, const CellCoefficients& coeffic
   return result;
 }
 
+// The lights' beams into a quad.
+class LightBeams {
+ public:
+  // How many: of a light of one direction `places` in a quad, 4, 2 or 1; of a light with extent `samples` parts, each
+  // with one beam in every `stride`-th quad.
+  struct Density {
+    int places = 4, samples = 1, stride = 1;
+  };
+
+  LightBeams(const Polygrid& polygrid, const TriangleMesh& surface, const SceneGeometry& geometry,
+             const std::vector<Light>& lights, double ior)
+      : polygrid_(polygrid),
+        surface_(surface),
+        geometry_(geometry),
+        lights_(lights),
+        ior_(ior),
+        normals_(vertex_normals(surface)),
+        query_(surface),
+        lift_(shadow_lift(surface, geometry)) {}
+
+  void set_density(const Density& density) {
+    density_ = density;
+    single_.clear();
+    parts_.clear();
+    for (const Light& light : lights_)
+      for (const SimpleLight& simple : simple_lights({light}, density.samples))
+        (has_extent(light) ? parts_ : single_).push_back(simple);
+  }
+  int parts() const { return static_cast<int>(parts_.size()); }
+
+  void list(std::int32_t quad, std::vector<EnteringBeam>& list) const {
+    static constexpr double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+    for (int place = 0; place < 4; ++place) {
+      // Two of the four lie across from each other, and for one the middle is best.
+      const bool lit = density_.places == 4 || (density_.places == 2 && (place == 0) == (place == 3));
+      enter(quad, place, gauss[place & 1], gauss[place >> 1], lit ? 1.0 / density_.places : 0, list);
+    }
+    if (density_.places == 1) enter(quad, -1, 0.5, 0.5, 1, list);
+  }
+
+ private:
+  // Beams at one place of a quad: of lights of one direction, if it stands for a `share` of the quad, and of those
+  // parts of the others that meet the quad there.
+  void enter(std::int32_t quad, int place, double s, double t, double share, std::vector<EnteringBeam>& list) const {
+    const QuadPoint at = quad_point(polygrid_, quad, s, t);
+    const SurfacePoint nearest = query_.nearest(at.position);
+    Vec3 normal = Vec3::Zero();
+    for (int k = 0; k < 3; ++k)
+      normal += nearest.barycentric[k] * normals_.row(surface_.faces(nearest.face_index, k)).transpose();
+    const double length = normal.norm();
+    normal = length > 0 ? Vec3(normal / length) : at.normal;
+    const Vec3 origin = nearest.point + lift_ * normal;
+    const auto add = [&](const SimpleLight& light, double area) {
+      const IncidentBeam incident = incident_beam(light, nearest.point);
+      const double cosine = normal.dot(incident.direction);
+      if (!(cosine > 0) || geometry_.occluded(origin, incident.direction, incident.distance)) return;
+      EnteringBeam beam;
+      beam.s = s;
+      beam.t = t;
+      beam.direction = refracted(incident.direction, normal, cosine, ior_);
+      // Where the mesh's normal and the quad's differ much, a beam must still go in.
+      if (beam.direction.dot(at.normal) > -0.02) beam.direction = -at.normal;
+      const Double4 irradiance = to_double(to_lanes(incident.irradiance));
+      beam.power = irradiance * (area * cosine * fresnel_transmittance(cosine, ior_));
+      list.push_back(beam);
+    };
+    if (share > 0)
+      for (const SimpleLight& light : single_) add(light, share * at.area);
+    const auto turn = static_cast<std::size_t>(quad);
+    const auto stride = static_cast<std::size_t>(density_.stride);
+    for (std::size_t k = 0; k < parts_.size(); ++k)
+      if ((k + turn / stride) % 4 == static_cast<std::size_t>(place) && (k / 4 + turn) % stride == 0)
+        add(parts_[k], density_.stride * at.area);
+  }
+
+  const Polygrid& polygrid_;
+  const TriangleMesh& surface_;
+  const SceneGeometry& geometry_;
+  const std::vector<Light>& lights_;
+  const double ior_;
+  const VertexMatrix normals_;
+  const ClosestPointQuery query_;
+  const double lift_;
+  Density density_;
+  std::vector<SimpleLight> single_, parts_;
+};
+
+}  // namespace
+
+BeamSource trace_beams(const Polygrid& polygrid, const CellCoefficients& coefficients, double ior,
+                       const BeamsOf& beams_of) {
+  return trace(polygrid, CellNeighbours(polygrid), coefficients, ior, beams_of);
+}
+
 BeamSource first_collision_source(const Polygrid& polygrid, const CellCoefficients& coefficients,
                                   const TriangleMesh& surface, const SceneGeometry& geometry,
-                                  const std::vector<Light>& lights, double ior, int environment_samples) {
+                                  const std::vector<Light>& lights, double ior, int environment_samples,
+                                  double most_steps) {
   constexpr double most_beams = 2e6;
-  const int affordable = std::max(
-      16, static_cast<int>(most_beams / std::max<double>(1, static_cast<double>(polygrid.boundary_quads.rows()))));
-  std::vector<SimpleLight> single, parts;
-  for (const Light& light : lights) {
-    for (const SimpleLight& simple : simple_lights({light}, std::min(environment_samples, affordable)))
-      (has_extent(light) ? parts : single).push_back(simple);
-  }
-  const VertexMatrix normals = vertex_normals(surface);
-  const ClosestPointQuery query(surface);
-  const double lift = shadow_lift(surface, geometry);
-  static constexpr double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+  constexpr int least_samples = 16, most_stride = 7, pilot_stride = 61;
+  const auto quads = std::max<double>(1, static_cast<double>(polygrid.boundary_quads.rows()));
+  const CellNeighbours neighbours(polygrid);
+  LightBeams beams(polygrid, surface, geometry, lights, ior);
+  LightBeams::Density density;
+  density.samples = std::min(environment_samples, std::max(least_samples, static_cast<int>(most_beams / quads)));
+  beams.set_density(density);
 
-  auto beams_of = [&](std::int32_t quad, std::vector<EnteringBeam>& list) {
-    for (int place = 0; place < 4; ++place) {
-      const double s = gauss[place & 1], t = gauss[place >> 1];
-      const QuadPoint at = quad_point(polygrid, quad, s, t);
-      const SurfacePoint nearest = query.nearest(at.position);
-      Vec3 normal = Vec3::Zero();
-      for (int k = 0; k < 3; ++k)
-        normal += nearest.barycentric[k] * normals.row(surface.faces(nearest.face_index, k)).transpose();
-      const double length = normal.norm();
-      normal = length > 0 ? Vec3(normal / length) : at.normal;
-      const Vec3 origin = nearest.point + lift * normal;
-      auto add = [&](const SimpleLight& light, double area) {
-        const IncidentBeam incident = incident_beam(light, nearest.point);
-        const double cosine = normal.dot(incident.direction);
-        if (!(cosine > 0) || geometry.occluded(origin, incident.direction, incident.distance)) return;
-        EnteringBeam beam;
-        beam.s = s;
-        beam.t = t;
-        beam.direction = refracted(incident.direction, normal, cosine, ior);
-        // Where the mesh's normal and the quad's differ much, a beam must still go in.
-        if (beam.direction.dot(at.normal) > -0.02) beam.direction = -at.normal;
-        const Double4 irradiance = to_double(to_lanes(incident.irradiance));
-        beam.power = irradiance * (area * cosine * fresnel_transmittance(cosine, ior));
-        list.push_back(beam);
-      };
-      for (const SimpleLight& light : single) add(light, 0.25 * at.area);
-      for (std::size_t k = 0; k < parts.size(); ++k)
-        if (static_cast<int>((k + static_cast<std::size_t>(quad)) % 4) == place) add(parts[k], at.area);
-    }
-  };
-  BeamSource result = trace_beams(polygrid, coefficients, ior, beams_of);
-  result.environment_lights = static_cast<int>(parts.size());
+  // Beams go far where little is in their way. A few of them tell how many may go.
+  const BeamSource pilot =
+      trace(polygrid, neighbours, coefficients, ior, [&](std::int32_t quad, std::vector<EnteringBeam>& list) {
+        if (quad % pilot_stride == 0) beams.list(quad, list);
+      });
+  const double excess = static_cast<double>(pilot.steps) * pilot_stride / most_steps;
+  if (excess > 1) {
+    density.places = excess > 2 ? 1 : 2;
+    // Odd, because the quads' order has a structure of powers of two.
+    density.stride = static_cast<int>(std::min<double>(most_stride, std::ceil(excess))) | 1;
+    density.samples = std::max(std::min(least_samples, density.samples),
+                               static_cast<int>(density.samples / std::max(1.0, excess / density.stride)));
+    beams.set_density(density);
+  }
+  BeamSource result = trace(polygrid, neighbours, coefficients, ior,
+                            [&](std::int32_t quad, std::vector<EnteringBeam>& list) { beams.list(quad, list); });
+  result.environment_lights = beams.parts();
   return result;
 }
 

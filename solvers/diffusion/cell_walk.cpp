@@ -6,6 +6,7 @@
 #include <string>
 
 #include "meshing/core/error.h"
+#include "solvers/diffusion/channel_lanes.h"
 
 namespace shellgrid {
 namespace {
@@ -22,21 +23,59 @@ FaceKey sorted_key(FaceKey key) {
 
 constexpr double slack = 1e-9;
 
+// A cell's map from reference coordinates r, s, t as a polynomial, with x, y and z in the lanes.
+class CellMap {
+ public:
+  CellMap(const Polygrid& polygrid, std::int32_t cell) {
+    Double4 x[8];
+    for (int a = 0; a < 8; ++a) {
+      const double* p = polygrid.points.data() + 3 * static_cast<std::ptrdiff_t>(polygrid.cells(cell, a));
+      x[a] = Double4{p[0], p[1], p[2], 0};
+    }
+    constant_ = x[0];
+    r_ = x[1] - x[0];
+    s_ = x[3] - x[0];
+    t_ = x[4] - x[0];
+    rs_ = x[2] - x[1] - s_;
+    rt_ = x[5] - x[1] - t_;
+    st_ = x[7] - x[3] - t_;
+    rst_ = x[6] - x[2] - x[5] + x[1] - st_;
+  }
+
+  // Where the reference point lies, and the derivatives there by r, s and t.
+  void evaluate(const Vec3& at, Double4& place, Double4 derivative[3]) const {
+    const double r = at.x(), s = at.y(), t = at.z();
+    const Double4 by_rs = rs_ + t * rst_, by_r = r_ + t * rt_, by_s = s_ + t * st_;
+    derivative[0] = by_r + s * by_rs;
+    derivative[1] = by_s + r * by_rs;
+    derivative[2] = t_ + r * rt_ + s * (st_ + r * rst_);
+    place = constant_ + t * t_ + r * derivative[0] + s * by_s;
+  }
+
+ private:
+  Double4 constant_, r_, s_, t_, rs_, rt_, st_, rst_;
+};
+
+Vec3 vector_of(Double4 a) { return {a[0], a[1], a[2]}; }
+
 // Reference coordinates of a point in a cell, also a little outside of it. False where Newton's iteration fails.
-bool invert(const CellCorners& x, const Vec3& point, Vec3& reference) {
+bool invert(const CellMap& map, const Vec3& point, Vec3& reference) {
+  const Double4 target = {point.x(), point.y(), point.z(), 0};
   for (int iteration = 0; iteration < 20; ++iteration) {
-    const TrilinearShape shape(reference);
-    Vec3 rest = point;
-    for (int a = 0; a < 8; ++a) rest -= shape.value[a] * x.row(a).transpose();
-    const Mat3 j = jacobian(x, shape).transpose();
-    const double determinant = j.determinant();
+    Double4 place, derivative[3];
+    map.evaluate(reference, place, derivative);
+    const Vec3 rest = vector_of(target - place), r = vector_of(derivative[0]), s = vector_of(derivative[1]),
+               t = vector_of(derivative[2]);
+    const Vec3 across = s.cross(t);
+    const double determinant = r.dot(across);
     if (!(std::abs(determinant) > 1e-300)) return false;
-    Vec3 step = j.inverse() * rest;
+    Vec3 step = Vec3(across.dot(rest), t.cross(r).dot(rest), r.cross(s).dot(rest)) / determinant;
     const double length = step.cwiseAbs().maxCoeff();
     if (!(length < 1e6)) return false;
     if (length > 0.5) step *= 0.5 / length;
     reference += step;
-    if (length < 1e-10) return true;
+    // The next step would be of this one's square.
+    if (length < 1e-6) return true;
     // Far outside, the direction is all that matters.
     if ((reference.array() < -1).any() || (reference.array() > 2).any()) return true;
   }
@@ -49,7 +88,7 @@ bool search_around(const Polygrid& polygrid, const CellNeighbours& neighbours, c
   std::vector<std::int32_t> cells = {place.cell};
   for (std::size_t at = 0; at < cells.size(); ++at) {
     Vec3 reference = Vec3::Constant(0.5);
-    if (invert(cell_corners(polygrid, cells[at]), point, reference) && (reference.array() >= -1e-6).all() &&
+    if (invert(CellMap(polygrid, cells[at]), point, reference) && (reference.array() >= -1e-6).all() &&
         (reference.array() <= 1 + 1e-6).all()) {
       place = {cells[at], reference.cwiseMax(0).cwiseMin(1)};
       return true;
@@ -121,7 +160,7 @@ WalkEnd walk_to(const Polygrid& polygrid, const CellNeighbours& neighbours, cons
   CellPlace at = place;
   std::int32_t before = -1;
   for (int hop = 0; hop < 32; ++hop) {
-    if (!invert(cell_corners(polygrid, at.cell), point, at.reference)) break;
+    if (!invert(CellMap(polygrid, at.cell), point, at.reference)) break;
     double worst = slack;
     face = -1;
     for (int k = 0; k < 3; ++k) {
@@ -146,9 +185,20 @@ WalkEnd walk_to(const Polygrid& polygrid, const CellNeighbours& neighbours, cons
       return WalkEnd::surface;
     }
     before = at.cell;
-    at = {next, Vec3::Constant(0.5)};
+    // Most neighbours have the same axes; for others it is a place to start from like any.
+    at.reference[face / 2] += face % 2 ? -1 : 1;
+    at = {next, at.reference.cwiseMax(0).cwiseMin(1)};
   }
   return search_around(polygrid, neighbours, point, place) ? WalkEnd::inside : WalkEnd::lost;
+}
+
+double way_past_face(const Polygrid& polygrid, const CellPlace& outside, int face, const Vec3& direction) {
+  const int k = face / 2;
+  Double4 place, derivative[3];
+  CellMap(polygrid, outside.cell).evaluate(outside.reference, place, derivative);
+  // Of dr/dℓ, dx/dr being the derivatives: a coordinate's part across the others.
+  const Vec3 across = vector_of(derivative[(k + 1) % 3]).cross(vector_of(derivative[(k + 2) % 3]));
+  return (outside.reference[k] - face % 2) * vector_of(derivative[k]).dot(across) / direction.dot(across);
 }
 
 Vec3 face_normal(const Polygrid& polygrid, const CellPlace& place, int face) {

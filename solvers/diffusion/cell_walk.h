@@ -37,6 +37,10 @@ enum class WalkEnd { inside, surface, lost };
 WalkEnd walk_to(const Polygrid& polygrid, const CellNeighbours& neighbours, const Vec3& point, CellPlace& place,
                 int& face);
 
+// How far, mm, a straight way that ends at `outside`, beyond a face of its cell, has gone since it passed that; to
+// first order, and any number where it runs along the face.
+double way_past_face(const Polygrid& polygrid, const CellPlace& outside, int face, const Vec3& direction);
+
 // Outward unit normal of a cell's face at reference coordinates.
 Vec3 face_normal(const Polygrid& polygrid, const CellPlace& place, int face);
 
