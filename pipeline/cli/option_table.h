@@ -44,7 +44,13 @@ struct OptionSpec {
 struct OutputOptionSpec {
   std::string flag;
   std::string* path;
-  std::string otherwise;  // "exitance.ply"
+  std::string otherwise;  // "exitance.ply"; empty: it is written only where the option is given, and has any ending
+};
+
+// A further output whose name is the primary one's with this ending in place of its extension.
+struct BesideOutputSpec {
+  std::string ending;
+  std::string only_for;  // an extension of the primary output; empty: any
 };
 
 struct ProgramTable {
@@ -53,9 +59,9 @@ struct ProgramTable {
   std::vector<OptionSpec> options;  // in the order of declaration, common ones last
   std::string output_example, output_help;
   bool has_output = false, output_optional = false, output_folder = false;
-  std::vector<std::string> output_extensions;    // with the dot; empty: any
-  std::vector<std::string> beside_output;        // further outputs: these in place of the output's extension
-  std::vector<OutputOptionSpec> output_options;  // further outputs with an option for their name
+  std::vector<std::string> output_extensions;                 // with the dot; empty: any
+  std::vector<BesideOutputSpec> beside_output;                // further outputs
+  std::vector<OutputOptionSpec> output_options;               // further outputs with an option for their name
   std::vector<std::pair<std::string, std::string>> examples;  // command, what it does
 
   std::string usage() const;                      // one line

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "pipeline/cli/stage_program.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <oneapi/tbb/global_control.h>
 #include <oneapi/tbb/info.h>
@@ -83,6 +84,15 @@ void check_input(const InputSpec& input, const std::string& path) {
     throw InputError(path + ": " + std::strerror(errno));
 }
 
+// Whether the system lets a file be made there. What it says of permissions is no promise: some folders are none to it.
+void try_to_write(const std::string& path, const fs::path& folder) {
+  const std::string probe = (folder / fmt::format(".probe.partial-{}-0", ::getpid())).string();
+  const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
+  if (file < 0) throw InputError(path + ": cannot be written: " + folder.string() + ": " + std::strerror(errno));
+  ::close(file);
+  ::unlink(probe.c_str());
+}
+
 // Before any work: can this be written at all? `flag` is the option that names it, or what it stands beside.
 void check_written_file(const std::string& flag, const std::string& path, const std::vector<std::string>& inputs) {
   std::error_code error;
@@ -95,8 +105,7 @@ void check_written_file(const std::string& flag, const std::string& path, const 
   const fs::path folder = folder_of(path);
   if (!fs::is_directory(folder, error))
     throw InputError(path + ": cannot be written: there is no folder " + folder.string());
-  if (::access(folder.c_str(), W_OK | X_OK) != 0)
-    throw InputError(path + ": cannot be written: " + folder.string() + ": " + std::strerror(errno));
+  try_to_write(path, folder);
   const long longest = ::pathconf(folder.c_str(), _PC_NAME_MAX);
   if (longest > 0 && fs::path(path).filename().string().size() > static_cast<std::size_t>(longest))
     throw InputError(path + ": cannot be written: " + std::strerror(ENAMETOOLONG));
@@ -126,8 +135,7 @@ void check_output_folder(const std::string& path) {
   while (!fs::exists(present, error) && present.has_relative_path()) present = present.parent_path();
   if (!fs::is_directory(present, error))
     throw InputError(path + ": cannot be made: " + present.string() + " is not a folder");
-  if (::access(present.c_str(), W_OK | X_OK) != 0)
-    throw InputError(path + ": cannot be written to: " + std::strerror(errno));
+  try_to_write(path, present);
 }
 
 void check_outputs(const ProgramTable& table, const std::string& path, const std::vector<std::string>& inputs) {
@@ -135,16 +143,19 @@ void check_outputs(const ProgramTable& table, const std::string& path, const std
   check_written_file("-o " + path, path, inputs);
   check_extension("-o", path, table.output_extensions);
   std::vector<std::pair<std::string, std::string>> all = {{"-o " + path, path}};  // said of it, path
-  for (const OutputOptionSpec& option : table.output_options) {
-    if (option.path->empty()) *option.path = (fs::path(path).parent_path() / option.otherwise).string();
-    check_extension(option.flag, *option.path, {fs::path(option.otherwise).extension().string()});
-    all.emplace_back(option.flag + " " + *option.path, *option.path);
-  }
-  for (const std::string& ending : table.beside_output) {
+  for (const auto& [ending, only_for] : table.beside_output) {
+    if (!only_for.empty() && lower_case(fs::path(path).extension().string()) != only_for) continue;
     const std::string beside = fs::path(path).replace_extension(ending).string();
     all.emplace_back(fmt::format("-o {} with {} beside it", path, beside), beside);
   }
   all.emplace_back(fmt::format("-o {} with its record", path), record_path(path));
+  for (const OutputOptionSpec& option : table.output_options) {
+    if (option.otherwise.empty() && option.path->empty()) continue;
+    if (option.path->empty()) *option.path = (fs::path(path).parent_path() / option.otherwise).string();
+    if (!option.otherwise.empty())
+      check_extension(option.flag, *option.path, {fs::path(option.otherwise).extension().string()});
+    all.emplace_back(option.flag + " " + *option.path, *option.path);
+  }
   for (std::size_t i = 0; i < all.size(); ++i) {
     check_written_file(all[i].first, all[i].second, inputs);
     std::error_code error;
@@ -203,10 +214,12 @@ void StageProgram::output_folder(const std::string& example, const std::string& 
   output(example, help, optional);
   impl_->table.output_folder = true;
 }
-void StageProgram::output_beside(const std::string& ending) { impl_->table.beside_output.push_back(ending); }
+void StageProgram::output_beside(const std::string& ending, const std::string& only_for) {
+  impl_->table.beside_output.push_back({ending, only_for});
+}
 void StageProgram::output_option(const std::string& flag, std::string& path, const std::string& otherwise,
                                  const std::string& help) {
-  OptionSpec spec{flag, &path, "", help + "; default " + otherwise + " beside the output"};
+  OptionSpec spec{flag, &path, "", otherwise.empty() ? help : help + "; default " + otherwise + " beside the output"};
   spec.placeholder = "FILE";
   impl_->table.options.push_back(spec);
   impl_->table.output_options.push_back({flag, &path, otherwise});
@@ -382,7 +395,7 @@ int StageProgram::Impl::execute(const std::vector<std::string>& arguments, const
   if (is_set(output_path)) {
     written_folders.push_back(table.output_folder ? output_path : folder_of(output_path).string());
     for (const OutputOptionSpec& option : table.output_options)
-      written_folders.push_back(folder_of(*option.path).string());
+      if (is_set(*option.path)) written_folders.push_back(folder_of(*option.path).string());
   }
   end_cleanly_on_uncaught_exceptions(table.name, written_folders);
   if (is_set(output_path)) clean_up_on_termination(written_folders);

@@ -50,9 +50,11 @@ class StageProgram {
   // Its extension is the example's, or one of `further_extensions`.
   void output(const std::string& example, const std::string& help, bool optional = false,
               const std::vector<std::string>& further_extensions = {});
-  // A further output beside the primary one, whose name ends so in place of its extension: ".view.ply".
-  void output_beside(const std::string& ending);
-  // A further output with an option for its name; `path` becomes `otherwise` beside the primary one without it.
+  // A further output beside the primary one, whose name ends so in place of its extension: ".view.ply"; `only_for`:
+  // where that extension is this.
+  void output_beside(const std::string& ending, const std::string& only_for = "");
+  // A further output with an option for its name; `path` becomes `otherwise` beside the primary one without it. Where
+  // `otherwise` is empty it is written only if the option is given.
   void output_option(const std::string& flag, std::string& path, const std::string& otherwise, const std::string& help);
   // The output is a folder, made where it is missing; no record is written beside it.
   void output_folder(const std::string& example, const std::string& help, bool optional = false);

@@ -14,6 +14,7 @@
 #include "pipeline/cli/option_table.h"
 #include "pipeline/scene/sample_description.h"
 #include "pipeline/scene/scene.h"
+#include "pipeline/scene/scene_checks.h"
 #include "pipeline/scene/scene_document.h"
 #include "solvers/diffusion/diffusion_validity.h"
 
@@ -151,6 +152,7 @@ std::string warn_of_diffusion(const Scene& scene) {
     const bool first_collision = scene.method.source == "first-collision";
     float least = 1e30f;
     for (const Material& m : materials) {
+      if (!(m.reduced_extinction() > 0).all()) return "";
       const DiffusionRegime regime{m.reduced_albedo(), static_cast<float>(chord) * m.reduced_extinction()};
       const std::string warning = diffusion_warning(regime, first_collision, {true, true, true});
       if (warning.empty()) return "";
@@ -184,7 +186,7 @@ struct SceneCase {
   }
   // Slices lie in another folder than the scene: paths in them are absolute.
   json lights() const {
-    json lights = document.root["lights"];
+    json lights = document.root.contains("lights") ? document.root["lights"] : json::array();
     for (json& light : lights)
       if (light.contains("image"))
         light["image"] = std::filesystem::absolute(light["image"].get<std::string>()).string();
@@ -362,10 +364,10 @@ Plan make_plan(const std::string& scene_path) {
   need(scene.material.has_value(), "material");
   need(!scene.material->shell || !scene.material->shell->sample.empty(), "material.shell.sample");
   need(scene.camera.has_value(), "camera");
-  need(document.root.contains("lights"), "lights");
-  if (scene.lights.empty()) throw InputError(scene_path + ": lights: is empty; expected one or more");
   if (scene.method.operator_name == "paper" && scene.method.source == "first-collision")
     throw InputError(scene_path + ": method.source: first-collision: only the operator elements takes it");
+
+  if (scene.method.type == diffusion_method) require_scattering(scene);
 
   std::optional<PlacedMesh> mesh;
   if (scene.object->size == 0) mesh.emplace(*scene.object);
@@ -397,11 +399,12 @@ Plan make_plan(const std::string& scene_path) {
     for (std::size_t i = 0; i < files.size(); ++i)
       scene_case.sample.push_back({i == 0 ? "volume" : fmt::format("volume{}", i), files[i]});
   }
-  for (std::size_t i = 0; i < document.root["lights"].size(); ++i)
-    if (document.root["lights"][i].contains("image"))
+  const json lights = scene_case.lights();
+  for (std::size_t i = 0; i < lights.size(); ++i)
+    if (lights[i].contains("image"))
       scene_case.light_files.push_back({fmt::format("light{}", i), document.root["lights"][i]["image"]});
 
-  const std::string warning = warn_of_diffusion(scene);
+  const std::string warning = is_dark(scene) ? darkness_warning : warn_of_diffusion(scene);
   if (!warning.empty()) plan.warnings.push_back(warning);
   plan.material = scene_case.opaque ? "opaque" : scene_case.shell ? "heterogeneous shell" : "homogeneous";
   plan.stages.push_back(prepare(scene_case));

@@ -96,14 +96,7 @@ Material parse_coefficients(const Section& core) {
     }
   }
   const Rgb absorption = core.colour("absorption"), scattering = core.colour("scattering");
-  Material material;
-  material.extinction = absorption + scattering;
-  for (int channel = 0; channel < 3; ++channel) {
-    if (!(scattering[channel] > 0)) core.fail("scattering", "is 0 in a channel; diffusion needs scattering");
-    material.albedo[channel] = scattering[channel] / material.extinction[channel];
-  }
-  material.anisotropy = core.colour("anisotropy");
-  return material;
+  return Material::from_absorption_scattering(absorption, scattering, core.colour("anisotropy"));
 }
 
 SceneMaterial parse_material(const Section& section) {

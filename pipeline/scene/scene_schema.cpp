@@ -103,7 +103,7 @@ std::vector<SceneKey> make_schema() {
       section("material.opaque", "an opaque diffuse surface: no light inside"),
       colour("material.opaque.reflectance", "", 0.5, 1, "diffuse reflectance"),
 
-      list("lights", "one or more lights"),
+      list("lights", "what shines; without any the object is black"),
       word("lights[].type", none, {"directional", "point", "area", "environment"}, "kind of light"),
       vector("lights[].direction", "", none,
              "directional: the direction in which the light travels; area: in which the rectangle faces"),

@@ -7,9 +7,11 @@
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "meshing/formats/vtkhdf_file.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
+#include "pipeline/scene/scene_checks.h"
 #include "solvers/diffusion/polygrid_diffusion.h"
 
 using namespace shellgrid;
@@ -106,7 +108,22 @@ void record(const DiffusionResult& r, nlohmann::json& results) {
 Material core_material(const Scene& scene) {
   if (!scene.material || !std::holds_alternative<Material>(scene.material->core))
     throw InputError(scene.path + ": no homogeneous core; give shell.vdb, or material.core with coefficients");
+  require_scattering(scene);
   return std::get<Material>(scene.material->core);
+}
+
+// Refuses options that have no meaning for this operator and source.
+void check_operator_options(const StageProgram& program, const std::string& operator_name,
+                            const std::string& paper_solver, const std::string& source) {
+  const auto only_for = [&](const char* flag, bool fits, const char* what) {
+    if (!fits && program.given(flag)) throw UsageError(std::string(flag) + ": only " + what + " takes it");
+  };
+  const bool paper = operator_name == "paper";
+  only_for("--paper-solver", paper, "the operator paper");
+  only_for("--paper-depths", paper && paper_solver == "adaptive", "the operator paper with --paper-solver adaptive");
+  only_for("--whole-grid", !paper, "the operator elements");
+  only_for("--initial", !paper, "the operator elements");
+  only_for("--beam-samples", source == "first-collision", "the source first-collision");
 }
 
 }  // namespace
@@ -164,10 +181,12 @@ int main(int argc, char** argv) {
     options.adaptive = !whole_grid;
     options.source = source == "scene" ? scene.method.source : source;
     options.tolerance = tolerance > 0 ? tolerance : scene.method.tolerance;
+    check_operator_options(program, options.operator_name, options.paper_solver, options.source);
     options.paper_depths.assign(depths.begin(), depths.end());
     if (!initial_path.empty()) options.initial = read_fluence(initial_path, polygrid.points.rows());
     std::variant<const ShellVolume*, Material> material = &shell;
     if (shell_path.empty()) material = core_material(scene);
+    warn_of_darkness(scene, run.progress());
     const double ior = scene.object ? scene.object->ior : shell_path.empty() ? SceneObject{}.ior : shell.ior;
 
     run.start_timer("solve");

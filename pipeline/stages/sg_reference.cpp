@@ -16,6 +16,7 @@
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/path_state_file.h"
 #include "pipeline/scene/scene.h"
+#include "pipeline/scene/scene_checks.h"
 #include "solvers/render/tone_map.h"
 #include "solvers/transport/camera_paths.h"
 #include "solvers/transport/light_tracing.h"
@@ -60,6 +61,20 @@ struct TallyOptions {
     program.option("--bins", bins, "", "tally: of the radial profile", 1, 100000);
     program.option("--extent", extent, "mm",
                    "tally: of the radial profile; 0: a sphere's radius, else ten transport mean free paths", 0, 1e12);
+  }
+
+  // Refuses options that have no meaning for what is measured.
+  void check(const StageProgram& program) const {
+    const auto only_for = [&](const std::vector<const char*>& flags, bool fits, const std::string& what) {
+      for (const char* flag : flags)
+        if (!fits && program.given(flag)) throw UsageError(fmt::format("{}: only {} takes it", flag, what));
+    };
+    only_for({"--thickness", "--radius", "--absorption", "--scattering", "--anisotropy", "--ior", "--source", "--bins",
+              "--extent"},
+             shape != "none", "--tally");
+    only_for({"--thickness"}, shape == "none" || shape == "slab", "--tally slab");
+    only_for({"--radius"}, shape == "none" || shape == "sphere", "--tally sphere");
+    only_for({"--extent"}, shape != "sphere", "--tally slab or half-space");
   }
 
   TallyProblem problem(std::uint64_t seed) const {
@@ -114,8 +129,10 @@ struct Campaign {
     if (!state_path.empty() && std::filesystem::exists(state_path))
       state = read_path_state(state_path, fingerprint, state);
     const std::uint64_t first = state.paths;
+    if (limits.paths > 0 && static_cast<double>(first) > limits.paths)
+      run.progress().warn(fmt::format("{} holds {} paths already: the result is that of them all, not of {:.0f}",
+                                      state_path, first, limits.paths));
     const auto save = [&](const PathState& now) { write_path_state(state_path, fingerprint, now); };
-    if (!state_path.empty()) save(state);  // what cannot be written must not show after hours
     PathLimits held = limits;
     held.interrupted = run.hold_interrupts();
     const auto checkpoint = state_path.empty() ? std::function<void(const PathState&)>() : save;
@@ -227,9 +244,18 @@ TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const
   return object;
 }
 
-void trace_light(const SceneInputs& inputs, const LightTracingOptions& how, const Campaign& campaign, StageRun& run) {
+// Without light there is nothing to wait for.
+void end_soon_if_dark(const Scene& scene, double paths, Campaign& campaign, StageRun& run) {
+  if (!is_dark(scene)) return;
+  warn_of_darkness(scene, run.progress());
+  campaign.limits = PathLimits{};
+  campaign.limits.paths = paths;
+}
+
+void trace_light(const SceneInputs& inputs, const LightTracingOptions& how, Campaign campaign, StageRun& run) {
   run.start_timer("read");
   const Scene scene = read_scene(inputs.scene);
+  end_soon_if_dark(scene, 1, campaign, run);
   const TriangleMesh mesh = read_mesh(inputs.surface).mesh;
   const TransportObject object = read_object(inputs, scene, mesh, run);
   LightTracingOptions options = how;
@@ -263,7 +289,9 @@ void take_picture(const SceneInputs& inputs, Campaign campaign, bool limited, St
   options.seed = run.seed();
   options.background = scene.background;
   const CameraPaths paths(object, scene.lights, *scene.camera, options);
-  if (!limited) campaign.limits.paths = 1.0 * scene.method.samples_per_pixel * static_cast<double>(paths.pixel_count());
+  const double usual = 1.0 * scene.method.samples_per_pixel * static_cast<double>(paths.pixel_count());
+  if (!limited) campaign.limits.paths = usual;
+  end_soon_if_dark(scene, usual, campaign, run);
   run.start_timer("follow");
   const PathState state = campaign.follow(paths.kind(), inputs.fingerprint(scene, "camera", run.seed()), run);
   run.start_timer("write");
@@ -305,9 +333,10 @@ int main(int argc, char** argv) {
   program.option("--time", campaign.limits.seconds, "s", "stop after this long; 0: do not", 0, 1e9);
   program.option("--target-error", campaign.limits.target_error, "",
                  "stop at this relative standard error of the result; 0: do not", 0, 1);
-  program.option("--state", campaign.state_path,
-                 "file in which the state is kept: where it is there, the run goes on from it, to the same bytes as "
-                 "without a break");
+  program.output_beside(".png", ".exr");
+  program.output_option("--state", campaign.state_path, "",
+                        "file in which the state is kept: where it is there, the run goes on from it, to the same "
+                        "bytes as without a break");
   program.flag("--no-interreflection", once, "light that leaves the object or is mirrored does not come back to it");
   program.flag(
       "--channels-apart", tracing.channels_apart,
@@ -325,23 +354,12 @@ int main(int argc, char** argv) {
     if (tallies && !inputs.scene.empty()) throw UsageError("--tally takes no scene");
     if (tallies != (extension == ".json"))
       throw UsageError(tallies ? "--tally writes .json" : "expected an output .ply or .exr, or --tally");
-    if (tracing.channels_apart && extension != ".ply")
-      throw UsageError("--channels-apart: only light paths (.ply) take it");
+    for (const char* flag : {"--channels-apart", "--no-interreflection"})
+      if (program.given(flag) && extension != ".ply")
+        throw UsageError(std::string(flag) + ": only light paths (.ply) take it");
+    tally_options.check(program);
     if (!tallies && inputs.surface.empty())
       throw UsageError(inputs.scene.empty() ? "missing scene.json surface.ply, or --tally" : "missing surface.ply");
-    if (!campaign.state_path.empty()) {
-      const std::filesystem::path output = run.output();
-      std::filesystem::path picture = output;
-      std::vector<std::filesystem::path> others = {output, output.string() + ".json",
-                                                   picture.replace_extension(".png")};
-      for (const std::string* input : {&inputs.scene, &inputs.surface, &inputs.shell})
-        if (!input->empty()) others.emplace_back(*input);
-      std::error_code error;
-      for (const std::filesystem::path& other : others)
-        if (std::filesystem::weakly_canonical(campaign.state_path, error) ==
-            std::filesystem::weakly_canonical(other, error))
-          throw UsageError("--state " + campaign.state_path + ": is the name of another output or an input");
-    }
     PathLimits& limits = campaign.limits;
     const bool limited = limits.paths > 0 || limits.seconds > 0 || limits.target_error > 0;
     if (!limited) limits.paths = 1e6;

@@ -11,6 +11,7 @@
 #include "pipeline/cli/record.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/scene.h"
+#include "pipeline/scene/scene_checks.h"
 #include "solvers/render/surface_render.h"
 #include "solvers/render/tone_map.h"
 
@@ -92,6 +93,7 @@ int main(int argc, char** argv) {
     settings.background = scene.background;
     settings.floor = scene.floor;
 
+    warn_of_darkness(scene, run.progress());
     run.start_timer("render");
     const bool opaque = scene.material && scene.material->opaque;
     if (!opaque && !scene.object) throw InputError(scene_path + ": no object; its ior is needed");

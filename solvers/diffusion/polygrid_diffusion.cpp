@@ -63,6 +63,7 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
   result.expected_error = expected_diffusion_error(result.regime, result.beams.has_value());
   Eigen::Array<bool, 3, 1> lit;
   for (int c = 0; c < 3; ++c) lit[c] = result.energy.entering[c] > 0;
+  if (!lit.any()) return;  // black, and right
   if (result.beams) {
     const auto middle = reaches.begin() + static_cast<std::ptrdiff_t>(count / 2);
     std::nth_element(reaches.begin(), middle, reaches.end());
@@ -104,6 +105,8 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
 // Says what is wrong with a solution; refuses one that is no picture of anything.
 void judge_solution(const Polygrid& polygrid, const DiffusionOptions& options, const DiffusionResult& result,
                     Progress& progress) {
+  if (!(std::max({result.energy.entering[0], result.energy.entering[1], result.energy.entering[2]}) > 0))
+    return;  // black, and right
   const double negative = static_cast<double>(result.negative_vertices) / static_cast<double>(result.exitance.size());
   if (options.operator_name == "paper") {
     const double defect = std::max(
@@ -268,7 +271,6 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
     throw InputError("source first-collision: only the operator elements takes it");
   if (!options.initial.empty() && options.operator_name != "elements")
     throw InputError("initial fluence: only the operator elements takes it");
-  if (lights.empty()) throw InputError("scene: it has no lights");
   DiffusionResult result;
 
   progress.begin("light on the surface", 1);

@@ -22,8 +22,8 @@ struct CameraPathOptions {
 // Source: PHYSICS "The judge".
 class CameraPaths {
  public:
-  // `object` must outlive this. Throws: InputError where a light has no extent (no path could hit it), none shines, or
-  // the camera is inside the object.
+  // `object` must outlive this. Throws: InputError where a light has no extent (no path could hit it), or the camera
+  // is inside the object.
   CameraPaths(const TransportObject& object, const std::vector<Light>& lights, const Camera& camera,
               const CameraPathOptions& options);
   PathKind kind() const;

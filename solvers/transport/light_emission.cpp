@@ -156,8 +156,10 @@ LightEmission::LightEmission(const std::vector<Light>& lights, const TriangleMes
     chance_.push_back(power);
     cumulative_.push_back(sum += power);
   }
-  if (!(sum > 0)) throw InputError("lights: none shines");
-  for (double& chance : chance_) chance /= sum;
+  if (sum > 0)
+    for (double& chance : chance_) chance /= sum;
+  else
+    lights_.clear();
 }
 
 Vec3 LightEmission::towards_object(const Vec3& point, PathRandom& random, double& solid_angle) const {
@@ -218,6 +220,7 @@ EmittedRay LightEmission::emit_environment(const EnvironmentLight& light, const 
 }
 
 EmittedRay LightEmission::emit(PathRandom& random) const {
+  if (lights_.empty()) return {};
   const std::size_t k = lights_.size() == 1 ? 0 : draw(cumulative_, random.next());
   const Light& light = lights_[k];
   EmittedRay ray;

@@ -44,7 +44,8 @@ class EnvironmentSampler {
 
 class LightEmission {
  public:
-  // `mesh` is what is to be lit. Throws: InputError where no light can reach it, or a light's picture is damaged.
+  // `mesh` is what is to be lit. Lights without power are legal: rays have none then. Throws: InputError where a
+  // light's power is beyond all numbers, or its picture damaged.
   LightEmission(const std::vector<Light>& lights, const TriangleMesh& mesh, const Vec3& centre, double radius);
 
   EmittedRay emit(PathRandom& random) const;

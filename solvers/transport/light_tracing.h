@@ -40,7 +40,7 @@ struct LightTracingOptions {
 
 class LightTracing {
  public:
-  // `object` must outlive this. Throws: InputError where a light stands inside the object or none shines.
+  // `object` must outlive this. Without light all is zero. Throws: InputError where a light stands inside the object.
   LightTracing(const TransportObject& object, const std::vector<Light>& lights, const LightTracingOptions& options);
   PathKind kind() const;
   LightTracingResult result(const PathState& state) const;

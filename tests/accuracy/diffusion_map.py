@@ -165,16 +165,20 @@ class Shape:
                        "longest_edge": SIZE * extinction}
                 rows.append(row)
                 say("%-7s %4g  %-7g %-16s " % (self.name, thickness, albedo, source), end="")
-                if any(exitance[c] is None for exitance in exitances):
+                if exitances[1][c] is None:
                     say("refused")
                     continue
-                smooth = self.smooth
-                row["smooth"] = judge(self.hats[smooth], truth[smooth], noise[smooth], exitances[0][c][0][smooth],
-                                      exitances[1][c][0][smooth], 4)["error"]
-                row.update(judge(self.hats, truth, noise, exitances[0][c][0], exitances[1][c][0],
-                                 (coarse / fine) ** 2), **exitances[1][c][1])
-                say("error %6.1f %% ± %.1f  smooth %6.1f %%  grid %5.1f %%  bias %+6.1f %%  noise %4.1f %%" % tuple(
-                    100 * row[key] for key in ("error", "uncertainty", "smooth", "discretisation", "bias", "noise")))
+                # Only the coarse grid may have been refused: its share is not known then.
+                known, smooth = exitances[0][c] is not None, self.smooth
+                coarser, finer = exitances[0 if known else 1][c][0], exitances[1][c][0]
+                row["smooth"] = judge(self.hats[smooth], truth[smooth], noise[smooth], coarser[smooth], finer[smooth],
+                                      4)["error"]
+                row.update(judge(self.hats, truth, noise, coarser, finer, (coarse / fine) ** 2), **exitances[1][c][1])
+                if not known:
+                    row["discretisation"] = ""
+                say("error %6.1f %% ± %.1f  smooth %6.1f %%  bias %+6.1f %%  noise %4.1f %%  grid %s" % (*(
+                    100 * row[key] for key in ("error", "uncertainty", "smooth", "bias", "noise")),
+                    "%5.1f %%" % (100 * row["discretisation"]) if known else "?"))
         return rows
 
     def solve(self, nodes, scene, albedos, extinction, source):
@@ -256,8 +260,9 @@ def draw(rows, table, picture):
                     continue
                 place = "%d %d" % (thicknesses.index(row["thickness"]), albedos.index(row["albedo"]))
                 if "error" in row:
-                    lines.append('%s %g "%.2g" "(%.2g)"' % (place, math.log10(min(max(row["smooth"], 1e-4), 1)),
-                                                           100 * row["smooth"], 100 * row["discretisation"]))
+                    grid = "(?)" if row["discretisation"] == "" else "(%.2g)" % (100 * row["discretisation"])
+                    lines.append('%s %g "%.2g" "%s"' % (place, math.log10(min(max(row["smooth"], 1e-4), 1)),
+                                                        100 * row["smooth"], grid))
                 else:
                     lines.append('%s 0.1 "refused" ""' % place)
             blocks.append("%s << EOD\n%s\nEOD" % (name, "\n".join(lines)))

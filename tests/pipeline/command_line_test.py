@@ -110,6 +110,16 @@ class CommandLineTest(unittest.TestCase):
             self.assertEqual((done.returncode, done.stderr.count("\n")), (2, 1), done.stderr)
             self.assertIn(part, done.stderr)
 
+    def test_where_not_even_root_may_write_shows_before_any_work(self):
+        write_off(self.path("large.off"), torus(around=400, across=400))
+        started = time.monotonic()
+        self.assert_refused(self.prepare("large.off", "-o", "/proc/s.ply", "--spacing", "0.1"), 3, "/proc/s.ply: cannot be written")
+        write_json(self.path("scene.json"), scene())
+        done = run("plan", "scene.json", "-o", "/proc/out", cwd=self.root)
+        self.assertEqual((done.returncode, done.stderr.count("\n")), (3, 1), done.stderr)
+        self.assertIn("/proc/out: cannot be written", done.stderr)
+        self.assertLess(time.monotonic() - started, 10 * SLOWNESS)
+
     @unittest.skipIf(os.geteuid() == 0, "root may write everywhere")
     def test_an_unwritable_folder_is_3(self):
         os.mkdir(self.path("locked"), 0o555)

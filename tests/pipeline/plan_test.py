@@ -486,8 +486,26 @@ class PlanTest(unittest.TestCase):
                 seen.add(option)
         self.assertEqual(len(seen), 13)
 
+    def test_a_scene_without_light_is_planned_with_one_warning(self):
+        for lights in (None, [], [dict(self.content["lights"][0], irradiance=0)]):
+            self.content["lights"] = lights
+            self.put("dark.json", json.dumps({key: value for key, value in self.content.items() if value is not None}))
+            planned = self.plan(name="dark.json")
+            self.assertEqual(planned.returncode, 0, planned.stderr)
+            self.assertEqual(planned.stderr, "sg-plan: warning: no light shines in this scene: the object is black\n")
+
+    def test_matter_that_does_not_scatter_needs_path_tracing(self):
+        self.content["material"] = {"core": {"absorption": 0.1, "scattering": [1, 1, 0]}}
+        self.put_scene()
+        planned = self.plan()
+        self.assertEqual(planned.returncode, 3)
+        self.assertIn("material.core.scattering is 0 in blue", planned.stderr)
+        self.content["method"] = {"type": "path-tracing"}
+        self.put_scene()
+        self.assertEqual(self.plan().returncode, 0)
+
     def test_a_scene_without_what_a_picture_needs_is_refused(self):
-        for missing in ("object", "material", "lights", "camera"):
+        for missing in ("object", "material", "camera"):
             with self.subTest(missing):
                 changed = {key: value for key, value in self.content.items() if key != missing}
                 self.put("part.json", json.dumps(changed))

@@ -134,7 +134,6 @@ TEST_F(SceneFile, RefusesWrongTypesAndRanges) {
   EXPECT_SAYS(complaint(R"({"object": []})"), "object: is a list of 0; expected a section");
   EXPECT_SAYS(complaint(R"({"material": {"core": {"absorption": [0.1, -0.2, 0.1], "scattering": 1}}})"),
               "material.core.absorption[1]: -0.2 is out of range");
-  EXPECT_SAYS(complaint(R"({"material": {"core": {"absorption": 1, "scattering": 0}}})"), "needs scattering");
   EXPECT_SAYS(complaint(R"({"material": {"core": {"absorption": 1}}})"), "material.core.scattering: is missing");
   EXPECT_SAYS(complaint(R"({"material": {"core": {"absorption": 1, "scattering": 1, "anisotropy": 1}}})"),
               "anisotropy: 1 is out of range");

@@ -138,6 +138,48 @@ class LightTracing(Reference):
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn("no light has come back", done.stderr)
 
+    def test_a_scene_without_light_is_black(self):
+        for lights in (None, [], [{"type": "point", "position": [30, 0, 0], "intensity": 0}], [{"type": "environment"}]):
+            programs.write_json(type(self).at("dark.json"), programs.scene(lights=lights))
+            for output, options in (("dark.ply", ["--target-error", "0.1"]), ("dark.exr", [])):
+                done = self.run_reference("dark.json", "ball.off", "-o", output, *options)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                self.assertEqual(done.stderr.count("\n"), 1, done.stderr)
+                self.assertIn("no light shines", done.stderr)
+            self.assertEqual(read_ply(type(self).at("dark.ply"))["exitance_g"].max(), 0)
+
+    def test_matter_that_does_not_scatter(self):
+        programs.write_json(type(self).at("ink.json"), programs.scene(
+            object={"mesh": "ball.off", "ior": 1}, material={"core": {"absorption": [0.1, 0, 1], "scattering": 0}}))
+        done = self.trace("ink", "--paths", "2e4", "--channels-apart", scene="ink.json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        energy = programs.record(type(self).at("ink.ply"))["results"]["energy"]
+        for c, depth in enumerate((2, 0, 20)):  # the mean of exp(-2 σ √(R² − b²)) over a ball's disc
+            passed = 2 * (1 - (1 + depth) * numpy.exp(-depth)) / depth ** 2 if depth else 1
+            self.assertAlmostEqual(energy["leaving"][c] / energy["entering"][c], passed, delta=0.01)
+
+    def test_fewer_paths_than_the_state_holds_are_told(self):
+        self.assertEqual(self.trace("many", "--paths", "600", "--state", "many.state").stderr, "")
+        self.assertEqual(self.trace("many", "--paths", "600", "--state", "many.state").stderr, "")
+        done = self.trace("many", "--paths", "400", "--state", "many.state")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("holds 600 paths already", done.stderr)
+
+    def test_outputs_that_cannot_be_written_show_before_the_work(self):
+        os.makedirs(type(self).at("folder.png"), exist_ok=True)
+        for output, state in (("/proc/refused.ply", None), ("nowhere/refused.ply", None), ("refused.ply", "/proc/refused.state"),
+                              ("refused.ply", "folder.png"), ("folder.exr", None)):
+            started = time.monotonic()
+            self.refused(3, "scene.json", "ball.off", "-o", output, "--paths", "1e12",
+                         *(["--state", state] if state else []), words="cannot be written")
+            self.assertLess(time.monotonic() - started, 20 * programs.SLOWNESS)
+
+    def test_options_without_a_meaning_are_refused(self):
+        for options in (["--thickness", "1"], ["--radius", "1"], ["--absorption", "1"], ["--bins", "9"], ["--source", "centre"],
+                        ["--ior", "1.2"]):
+            self.refused(2, "scene.json", "ball.off", "-o", "refused.ply", *options, words="only --tally takes it")
+        self.refused(2, "scene.json", "ball.off", "-o", "refused.exr", "--no-interreflection", words="--no-interreflection")
+
     def test_bad_states_are_refused(self):
         for name in ("refused.ply", "refused.ply.json", "scene.json"):
             self.refused(2, "scene.json", "ball.off", "-o", "refused.ply", "--paths", "10", "--state", name, words=name)
@@ -160,8 +202,6 @@ class LightTracing(Reference):
         good = ["ball.off", "-o", "refused.ply"]
         self.refused(3, "missing.json", *good, words="missing.json")
         self.refused(3, "scene.json", "scene.json", "-o", "refused.ply", words="scene.json")
-        self.refused(3, variant("dark.json", lights=[]), *good, words="lights")
-        self.refused(3, variant("black.json", lights=[{"type": "point", "position": [30, 0, 0], "intensity": 0}]), *good)
         self.refused(3, variant("within.json", lights=[{"type": "point", "position": [1, 0, 0], "intensity": 1}]), *good,
                      words="inside the object")
         self.refused(3, variant("opaque.json", material={"opaque": {}}), *good, words="opaque")
@@ -291,6 +331,17 @@ class Tally(Reference):
         self.assertEqual(record["results"]["ended_by"], "paths")
         self.assertEqual(record["results"]["paths"], 200000)
 
+    def test_layers_that_only_absorb(self):
+        slab = self.measured("slab", "--thickness", "0.5", "--absorption", "2", "--scattering", "0", "--paths", "2e4")
+        self.near(slab["transmittance"], 0.367879)
+        self.assertEqual(slab["diffuse_reflectance"]["value"], 0)
+        # A centre that scatters without loss and a shell of ink about it, which light leaves straight: 1 mm is not enough.
+        sphere = self.measured("sphere", "--radius", "1,2", "--absorption", "0,0.5", "--scattering", "3,0", "--paths", "2e4")
+        self.assertEqual(sphere["absorbed"][0]["value"], 0)
+        self.assertAlmostEqual(sphere["absorbed"][1]["value"] + sphere["transmittance"]["value"], 1, delta=1e-9)
+        self.assertLess(sphere["transmittance"]["value"], numpy.exp(-0.5))
+        self.assertGreater(sphere["transmittance"]["value"], numpy.exp(-0.5 * 3 ** 0.5))
+
     def test_half_space(self):
         half_space = self.measured("half-space", "--absorption", "0.1", "--scattering", "0.9", "--paths", "1e5")
         self.near(half_space["diffuse_reflectance"], 0.414947)
@@ -323,6 +374,7 @@ class Tally(Reference):
     def test_usage(self):
         for options in (["pyramid"], ["slab", "--thickness", "0"], ["slab", "--absorption", "1,2"], ["sphere"],
                         ["slab", "--source", "centre"], ["sphere", "--radius", "1,2", "--scattering", "1,2,3"],
+                        ["slab", "--radius", "2"], ["half-space", "--thickness", "2"], ["sphere", "--radius", "2", "--extent", "1"],
                         ["slab", "--paths", "-1"], ["slab", "--ior", "0.5"], ["slab", "--anisotropy", "1"]):
             self.refused(2, "--tally", *options, "-o", "refused.json")
         self.refused(2, "--tally", "slab", "-o", "refused.ply")

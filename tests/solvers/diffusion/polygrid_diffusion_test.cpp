@@ -181,10 +181,22 @@ TEST(PolygridDiffusion, ThePapersOperatorLosesTheLightOfAWhiteObjectInUniformLig
   EXPECT_GT(r.energy.relative_defect[0], 0.9);
 }
 
+TEST(PolygridDiffusion, WithoutLightAllIsBlackAndNothingIsSaid) {
+  const Ball ball;
+  DiffusionOptions options;
+  for (const char* source : {"boundary", "first-collision"}) {
+    options.source = source;
+    for (const std::vector<Light>& dark : {std::vector<Light>{}, {DirectionalLight{}}}) {
+      const DiffusionResult r = ball.solve({0.5, 0.1}, dark, options);
+      for (const Rgb& value : r.exitance) EXPECT_TRUE((value == 0).all());
+      EXPECT_EQ(r.energy.relative_defect[1], 0);
+    }
+  }
+}
+
 TEST(PolygridDiffusion, RefusesWhatItCannotSolve) {
   const Ball ball;
   DiffusionOptions options;
-  EXPECT_THROW(ball.solve({0.01, 1}, {}), InputError);
   options.tolerance = 0;
   EXPECT_THROW(ball.solve({0.01, 1}, sun(), options), InputError);
   options.tolerance = std::nan("");

@@ -128,13 +128,18 @@ TEST(CameraPaths, SeeAreaLightsFromTheirFront) {
   EXPECT_LT(mean(picture(object, {averted}, camera, 4), "G"), 1e-3);
 }
 
+TEST(CameraPaths, WithoutLightThePictureIsBlack) {
+  const TransportObject object(shapes::sphere(1, 2), grey(1, 1), 1.3);
+  for (const std::vector<Light>& dark : {std::vector<Light>{}, {sky(Rgb::Zero())}, {DirectionalLight{}, PointLight{}}})
+    for (const char* channel : {"R", "G", "B"}) EXPECT_EQ(mean(picture(object, dark, far_camera(4), 4), channel), 0);
+}
+
 TEST(CameraPaths, NonsenseIsRefused) {
   const TriangleMesh ball = shapes::sphere(1, 2);
   const TransportObject object(ball, grey(1, 1), 1.3);
   const Camera camera = far_camera(4);
-  EXPECT_THROW(CameraPaths(object, {DirectionalLight{}}, camera, {}), InputError);
+  EXPECT_THROW(CameraPaths(object, {DirectionalLight{Vec3(0, 0, -1), Rgb::Ones()}}, camera, {}), InputError);
   EXPECT_THROW(CameraPaths(object, {PointLight{Vec3(9, 9, 9), Rgb::Ones()}}, camera, {}), InputError);
-  EXPECT_THROW(CameraPaths(object, {}, camera, {}), InputError);
   Camera inside = camera;
   inside.position = Vec3(0.1, 0, 0.1);
   EXPECT_THROW(CameraPaths(object, {sky(Rgb::Ones())}, inside, {}), InputError);
