@@ -19,18 +19,18 @@ constexpr std::array thicknesses = {1.0, 3.0, 10.0, 30.0, 100.0};
 using ErrorTable = std::array<std::array<double, thicknesses.size()>, albedos.size()>;
 
 // Percent; 100 where sg-diffuse refuses.
-constexpr ErrorTable boundary_errors = {{{98, 90, 100, 100, 100},
+constexpr ErrorTable boundary_errors = {{{98, 88, 100, 100, 100},
                                          {96, 44, 26, 29, 63},
-                                         {92, 27, 13, 8.4, 10},
+                                         {92, 27, 13, 8.5, 10},
                                          {91, 22, 10, 6.5, 5.8},
                                          {91, 21, 8.9, 5.3, 4.3},
                                          {91, 21, 8.8, 5.1, 3.9}}};
-constexpr ErrorTable first_collision_errors = {{{98, 79, 60, 27, 18},
-                                                {95, 51, 27, 16, 13},
-                                                {92, 31, 12, 7.1, 8.3},
-                                                {90, 24, 7.6, 3.7, 5.1},
-                                                {90, 23, 6.5, 3.1, 3.9},
-                                                {90, 23, 6.4, 3, 3.8}}};
+constexpr ErrorTable first_collision_errors = {{{98, 80, 61, 27, 18},
+                                                {95, 52, 28, 16, 13},
+                                                {92, 31, 13, 7.1, 8.3},
+                                                {90, 25, 8.2, 3.8, 5.1},
+                                                {90, 24, 7, 3.1, 4},
+                                                {90, 24, 6.9, 3.1, 3.8}}};
 
 // The place of a value between the entries of a growing list.
 struct Between {

@@ -60,8 +60,11 @@ struct DiffusionResult {
 // hat functions of the outer points; the exitance is M of D3 at the outer points, carried to the vertices.
 // With the source first-collision the refracted beams light the volume instead, q is 0 in D2 and D3, and what beams
 // lose to absorption or carry through the object counts in D4; fluence and exitance are those of the diffuse light.
-// Both terms of M use the averaged irradiance: with the sharp one, φ being smooth, a shadow's edge would
-// show as a dark fringe on its lit side, and energy would not add up.
+// The exitance is negative where diffusion fails (boundary, below a reduced albedo of .53). Elsewhere it may fall below
+// 0 in deep shadow at low albedo, where less light leaves than the tolerance leaves open, and its sign with it: with
+// the tolerance that goes away down to about 1e-10 of the largest, where cells are wider than the diffuse mean free
+// path and trilinear elements keep to no maximum principle. Both terms of M use the averaged irradiance: with the sharp
+// one, φ being smooth, a shadow's edge would show as a dark fringe on its lit side, and energy would not add up.
 // `material`: the shell with its core, or one homogeneous material. `ior` ≥ 1.
 // Throws: InputError, NumericalError.
 DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const TriangleMesh& surface,

@@ -194,6 +194,23 @@ TEST(PolygridDiffusion, WithoutLightAllIsBlackAndNothingIsSaid) {
   }
 }
 
+// In deep shadow at low albedo next to no light leaves: less than the error that the tolerance leaves open.
+TEST(PolygridDiffusion, ExitanceFallsBelowZeroByLessThanTheTolerance) {
+  const Ball ball;
+  DiffusionOptions options;
+  options.source = "first-collision";
+  options.adaptive = false;
+  for (const double coefficient : {0.2, 0.6, 0.9})
+    for (const double tolerance : {5e-3, 1e-4, 1e-8}) {
+      options.tolerance = tolerance;
+      const DiffusionResult r = ball.solve({coefficient, coefficient}, sun(), options);
+      float largest = 0;
+      for (const Rgb& value : r.exitance) largest = std::max(largest, value.maxCoeff());
+      EXPECT_GT(r.least_exitance, -0.1 * tolerance * largest) << coefficient << " " << tolerance;
+      if (coefficient == 0.6) EXPECT_EQ(r.negative_vertices > 0, tolerance > 1e-8) << tolerance;
+    }
+}
+
 TEST(PolygridDiffusion, RefusesWhatItCannotSolve) {
   const Ball ball;
   DiffusionOptions options;
