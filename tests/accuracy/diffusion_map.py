@@ -36,6 +36,7 @@ import numpy
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path.append(os.path.join(HERE, "..", "support"))
 import programs
+from ply_file import read_ply
 
 programs.BIN = os.path.abspath(programs.BIN)
 LONG = "SG_LONG" in os.environ
@@ -73,21 +74,6 @@ def scene_of(albedos, extinction, anisotropy, ior):
                                   "scattering": [extinction * a / (1 - anisotropy) for a in three],
                                   "anisotropy": anisotropy}},
             "lights": [{"type": "directional", "direction": LIGHT, "irradiance": 1}]}
-
-
-def read_ply(path):
-    """Vertices of a binary PLY as a structured array, and its triangles."""
-    with open(path, "rb") as file:
-        data = file.read()
-    start = data.index(b"end_header\n") + len(b"end_header\n")
-    header = data[:start].decode()
-    count = int(header.split("element vertex ")[1].split()[0])
-    faces = int(header.split("element face ")[1].split()[0])
-    kinds = {"double": "<f8", "float": "<f4", "uchar": "u1"}
-    fields = [line.split()[1:] for line in header.split("element face")[0].splitlines() if line.startswith("property")]
-    vertices = numpy.frombuffer(data, numpy.dtype([(name, kinds[kind]) for kind, name in fields]), count, start)
-    triangle = numpy.dtype([("n", "u1"), ("v", "<i4", 3)])
-    return vertices, numpy.frombuffer(data, triangle, faces, start + vertices.nbytes)["v"]
 
 
 class Shape:

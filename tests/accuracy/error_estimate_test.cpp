@@ -37,19 +37,6 @@ DiffusionLight lamp(const DiffusionSolver& solver, const Polygrid& grid, double 
   });
 }
 
-double exitance_error(const DiffusionSolver& solver, const std::vector<Double4>& a, const std::vector<Double4>& b) {
-  double worst = 0;
-  for (int c = 0; c < 3; ++c) {
-    double error = 0, size = 0;
-    for (std::size_t s = 0; s < a.size(); ++s) {
-      error += solver.surface().area[s] * (a[s][c] - b[s][c]) * (a[s][c] - b[s][c]);
-      size += solver.surface().area[s] * b[s][c] * b[s][c];
-    }
-    worst = std::max(worst, std::sqrt(error / size));
-  }
-  return worst;
-}
-
 TEST(ErrorEstimate, IsHonestAndNotTooCareful) {
   std::vector<double> cold, warm;
   const std::vector<std::pair<std::string, Polygrid>> grids = {{"ball 20³", test::ball_grid(20, 10, 0.1)},
@@ -67,9 +54,10 @@ TEST(ErrorEstimate, IsHonestAndNotTooCareful) {
           solver.solve(light, 1e-7);
           const std::vector<Double4> exact = solver.exitance(light);
           const SolveReport first = solver.solve(light, 0.9);
-          cold.push_back(first.estimated_error / exitance_error(solver, solver.exitance(light), exact));
+          cold.push_back(first.estimated_error / test::exitance_difference(solver, solver.exitance(light), exact));
           const SolveReport second = solver.solve(turned, 0.9, true);
-          warm.push_back(second.estimated_error / exitance_error(solver, solver.exitance(turned), exact_turned));
+          warm.push_back(second.estimated_error /
+                         test::exitance_difference(solver, solver.exitance(turned), exact_turned));
           std::printf(
               "%-20s %5g mean free paths, 1 - albedo %5g, contrast %5g: estimate / error cold %.2f, warm %.2f\n",
               name.c_str(), paths, lost, contrast, cold.back(), warm.back());

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 import programs
+from ply_file import read_ply
 
 STATISTICS = """<!DOCTYPE FilterScript>
 <FilterScript>
@@ -18,26 +19,9 @@ STATISTICS = """<!DOCTYPE FilterScript>
  <filter name="Per Vertex Quality Stat"/>
 </FilterScript>
 """
-PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4", "float": "<f4",
-             "double": "<f8", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2", "int32": "<i4",
-             "uint32": "<u4", "float32": "<f4", "float64": "<f8"}
 CLOSED = {"surface.ply", "synthesized.ply", "exitance.ply"}
 WITH_QUALITY = {"synthesized.ply", "exitance.ply"}
 CELL_CORNERS = {10: 4, 12: 8, 9: 4, 5: 3, 1: 1}  # VTK's tetrahedron, hexahedron, quadrilateral, triangle, vertex
-
-
-def read_vertices(path):
-    """The vertex table of a binary little-endian PLY, and the number of faces."""
-    with open(path, "rb") as file:
-        content = file.read()
-    end = content.index(b"end_header\n") + len(b"end_header\n")
-    header = content[:end].decode()
-    if "format binary_little_endian 1.0" not in header:
-        raise AssertionError(path + " is not binary little-endian")
-    counts = {name: int(count) for name, count in re.findall(r"element (\w+) (\d+)", header)}
-    fields = re.findall(r"property (\w+) (\w+)\n", header.split("element vertex")[1].split("element face")[0])
-    kind = np.dtype([(name, PLY_TYPES[kind]) for kind, name in fields])
-    return np.frombuffer(content, kind, counts["vertex"], end), counts.get("face", 0)
 
 
 def open_in_meshlab(path, folder):
@@ -87,13 +71,13 @@ class MeshLabReadsEveryView(unittest.TestCase):
         for name in self.plys:
             with self.subTest(name), programs.workplace() as folder:
                 path = os.path.join(self.out, name)
-                vertices, faces = read_vertices(path)
+                vertices, faces = read_ply(path)
                 self.assertGreater(len(vertices), 0)
                 done, text = open_in_meshlab(path, folder)
                 self.assertEqual(done.returncode, 0, text)
                 loaded = re.search(r"loaded has (\d+) vn (\d+) fn", text)
                 self.assertIsNotNone(loaded, text)
-                self.assertEqual((int(loaded[1]), int(loaded[2])), (len(vertices), faces))
+                self.assertEqual((int(loaded[1]), int(loaded[2])), (len(vertices), len(faces)))
                 if "quality" in vertices.dtype.names:
                     seen = re.search(r"Min (\S+) Max (\S+)", text)
                     self.assertIsNotNone(seen, text)
@@ -115,7 +99,7 @@ class MeshLabReadsEveryView(unittest.TestCase):
     def test_fields_for_meshlab_vary(self):
         for name in sorted(WITH_QUALITY):
             with self.subTest(name):
-                vertices, _ = read_vertices(os.path.join(self.out, name))
+                vertices, _ = read_ply(os.path.join(self.out, name))
                 for field in ("quality", "red", "green", "blue"):
                     self.assertIn(field, vertices.dtype.names)
                 self.assertGreater(vertices["quality"].max(), vertices["quality"].min())

@@ -8,19 +8,7 @@ import h5py
 import numpy
 
 import programs
-
-
-def read_ply(path):
-    """Vertices of a binary PLY as a structured array, and the number of faces."""
-    with open(path, "rb") as file:
-        data = file.read()
-    start = data.index(b"end_header\n") + len(b"end_header\n")
-    header = data[:start].decode()
-    count = int(header.split("element vertex ")[1].split()[0])
-    faces = int(header.split("element face ")[1].split()[0])
-    kinds = {"double": "<f8", "float": "<f4", "uchar": "u1"}
-    fields = [line.split()[1:] for line in header.split("element face")[0].splitlines() if line.startswith("property")]
-    return numpy.frombuffer(data, numpy.dtype([(name, kinds[kind]) for kind, name in fields]), count, start), faces
+from ply_file import read_ply
 
 
 class Diffuse(unittest.TestCase):
@@ -105,7 +93,7 @@ class Diffuse(unittest.TestCase):
         self.assertAlmostEqual(energy["entering"][0] / (numpy.pi * 100), 0.92, delta=0.02)
 
         vertices, faces = read_ply(type(self).at("good.ply"))
-        self.assertEqual(faces, 2 * len(vertices) - 4)
+        self.assertEqual(len(faces), 2 * len(vertices) - 4)
         self.assertGreater(vertices["exitance_r"][vertices["z"] > 9].mean(), 4 * vertices["exitance_r"][vertices["z"] < -9].mean())
         self.assertEqual(vertices["irradiance_g"][vertices["z"] < -1].max(), 0)
         luminance = 0.2126 * vertices["exitance_r"] + 0.7152 * vertices["exitance_g"] + 0.0722 * vertices["exitance_b"]

@@ -3,30 +3,16 @@
 import math
 import os
 import random
-import struct
 import unittest
 
+import ply_file
 import programs
 
 
 def read_ply(path):
-    """Vertices and triangles of a binary PLY file as the stages write it."""
-    with open(path, "rb") as file:
-        data = file.read()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    counts, properties = {}, {}
-    for line in data[:end].decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            element = words[1]
-            counts[element], properties[element] = int(words[2]), []
-        elif words[0] == "property" and words[1] != "list":
-            properties[element].append(words[1])
-    row = struct.Struct("<" + "".join({"double": "d", "float": "f", "uchar": "B", "int": "i"}[t] for t in properties["vertex"]))
-    vertices = [row.unpack_from(data, end + i * row.size)[:3] for i in range(counts["vertex"])]
-    start = end + counts["vertex"] * row.size
-    faces = [struct.unpack_from("<iii", data, start + 13 * f + 1) for f in range(counts["face"])]
-    return vertices, faces
+    """Vertices and triangles as tuples."""
+    vertices, faces = ply_file.read_ply(path)
+    return [(row["x"], row["y"], row["z"]) for row in vertices], [tuple(face) for face in faces.tolist()]
 
 
 def is_closed(faces):

@@ -10,6 +10,7 @@ import unittest
 import numpy
 
 import programs
+from ply_file import read_ply
 
 
 class Reference(unittest.TestCase):
@@ -31,18 +32,6 @@ class Reference(unittest.TestCase):
 
     def near(self, estimate, expected, errors=3):
         self.assertLess(abs(estimate["value"] - expected), errors * estimate["standard_error"], estimate)
-
-
-def read_ply(path):
-    """Vertices of a binary PLY as a structured array."""
-    with open(path, "rb") as file:
-        data = file.read()
-    start = data.index(b"end_header\n") + len(b"end_header\n")
-    header = data[:start].decode()
-    count = int(header.split("element vertex ")[1].split()[0])
-    kinds = {"double": "<f8", "float": "<f4", "uchar": "u1"}
-    fields = [line.split()[1:] for line in header.split("element face")[0].splitlines() if line.startswith("property")]
-    return numpy.frombuffer(data, numpy.dtype([(name, kinds[kind]) for kind, name in fields]), count, start)
 
 
 class LightTracing(Reference):
@@ -74,7 +63,7 @@ class LightTracing(Reference):
             self.assertAlmostEqual(energy["incoming"][c], energy["entering"][c] + energy["mirrored"][c],
                                    delta=1e-9 * energy["incoming"][c])
             self.assertEqual(energy["lost"][c], 0)
-        vertices = read_ply(type(self).at("good.ply"))
+        vertices = read_ply(type(self).at("good.ply"))[0]
         # Half of the lights' light comes from above; every vertex has some, and its error.
         self.assertGreater(vertices["exitance_g"].min(), 0)
         self.assertGreater(vertices["exitance_error_g"].min(), 0)
@@ -146,7 +135,7 @@ class LightTracing(Reference):
                 self.assertEqual(done.returncode, 0, done.stderr)
                 self.assertEqual(done.stderr.count("\n"), 1, done.stderr)
                 self.assertIn("no light shines", done.stderr)
-            self.assertEqual(read_ply(type(self).at("dark.ply"))["exitance_g"].max(), 0)
+            self.assertEqual(read_ply(type(self).at("dark.ply"))[0]["exitance_g"].max(), 0)
 
     def test_matter_that_does_not_scatter(self):
         programs.write_json(type(self).at("ink.json"), programs.scene(

@@ -76,6 +76,21 @@ inline double exitance_error(const SolvedProblem& p, const std::function<double(
   return std::sqrt(error / size);
 }
 
+// Relative L2 difference of two exitances at the solver's outer points over the surface, of the worst channel.
+inline double exitance_difference(const DiffusionSolver& solver, const std::vector<Double4>& a,
+                                  const std::vector<Double4>& b) {
+  double worst = 0;
+  for (int c = 0; c < 3; ++c) {
+    double error = 0, size = 0;
+    for (std::size_t s = 0; s < a.size(); ++s) {
+      error += solver.surface().area[s] * (a[s][c] - b[s][c]) * (a[s][c] - b[s][c]);
+      size += solver.surface().area[s] * b[s][c] * b[s][c];
+    }
+    worst = std::max(worst, std::sqrt(error / size));
+  }
+  return worst;
+}
+
 // mm³, by one Gauss point.
 inline double cell_volume(const Polygrid& grid, Eigen::Index cell) {
   static const int corner[8][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0},

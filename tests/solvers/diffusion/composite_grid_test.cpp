@@ -10,20 +10,6 @@ namespace {
 
 Double4 lamp(const Vec3& p) { return Double4{p.z() > 0 ? p.z() : 0.0, 1, p.x() > 2 ? 1.0 : 0.0, 0}; }
 
-double relative_difference(const DiffusionSolver& solver, const std::vector<Double4>& a,
-                           const std::vector<Double4>& b) {
-  double worst = 0;
-  for (int c = 0; c < 3; ++c) {
-    double error = 0, size = 0;
-    for (std::size_t s = 0; s < a.size(); ++s) {
-      error += solver.surface().area[s] * (a[s][c] - b[s][c]) * (a[s][c] - b[s][c]);
-      size += solver.surface().area[s] * b[s][c] * b[s][c];
-    }
-    worst = std::max(worst, std::sqrt(error / size));
-  }
-  return worst;
-}
-
 SolverParameters at_depth(int depth) {
   SolverParameters parameters;
   parameters.depth = depth;
@@ -79,7 +65,7 @@ TEST(CompositeGrid, TheExitanceStaysWithinItsEstimate) {
         deep.set_material(coefficients, 1.5, 0.005);
         const SolveReport report = deep.solve(light, 0.03);
         EXPECT_GT(report.skipped, 0u);
-        EXPECT_LE(relative_difference(whole, deep.exitance(light), exact), report.estimated_error) << depth;
+        EXPECT_LE(test::exitance_difference(whole, deep.exitance(light), exact), report.estimated_error) << depth;
         EXPECT_LT(report.deep_error, last);
         last = report.deep_error;
         for (int c = 0; c < 3; ++c) EXPECT_LT(deep.energy(light).relative_defect[c], 1e-12);
@@ -131,7 +117,7 @@ TEST(CompositeGrid, TakesSourcesInSkippedCells) {
   const DiffusionLight light = whole.source_light(source), deep_light = deep.source_light(source);
   whole.solve(light, 1e-8);
   const SolveReport report = deep.solve(deep_light, 0.002);
-  EXPECT_LE(relative_difference(whole, deep.exitance(deep_light), whole.exitance(light)), report.estimated_error);
+  EXPECT_LE(test::exitance_difference(whole, deep.exitance(deep_light), whole.exitance(light)), report.estimated_error);
   for (int c = 0; c < 3; ++c) {
     const EnergyBalance own = deep.energy(deep_light), other = whole.energy(light);
     EXPECT_NEAR(own.absorbed[c] + own.leaving[c], other.absorbed[c] + other.leaving[c], 1e-6 * other.leaving[c]);
@@ -156,7 +142,7 @@ TEST(CompositeGrid, StartsWarmFromItsOwnSolutionAndFromAFile) {
     if (solver == &other) other.set_initial(fluence);
     const SolveReport report = solver->solve(second, 0.005, true);
     EXPECT_LE(report.estimated_error, 0.005);
-    EXPECT_LE(relative_difference(whole, solver->exitance(second), exact), 0.005);
+    EXPECT_LE(test::exitance_difference(whole, solver->exitance(second), exact), 0.005);
     for (int c = 0; c < 3; ++c) EXPECT_LT(solver->energy(second).relative_defect[c], 1e-12);
   }
 }

@@ -3,13 +3,13 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/IterativeLinearSolvers>
 #include <cmath>
 #include <functional>
 
 #include "meshing/core/error.h"
 #include "solvers/diffusion/closed_forms.h"
 #include "tests/support/closed_shapes.h"
+#include "tests/support/coupling_solution.h"
 
 namespace shellgrid {
 namespace {
@@ -42,33 +42,8 @@ EmbeddedSystem assemble(const EmbeddedGrid& grid, const DiffusionCoefficients& m
       ior);
 }
 
-struct Solved {
-  std::vector<Double4> fluence;
-  int iterations = 0;
-};
-
-Solved solve(const EmbeddedSystem& system, const std::vector<Double4>& irradiance) {
-  const auto n = static_cast<Eigen::Index>(system.matrix.size());
-  const std::vector<Double4> source = boundary_source(system, irradiance);
-  Eigen::SparseMatrix<double> a(n, n);
-  std::vector<Eigen::Triplet<double>> entries;
-  Eigen::VectorXd right(n);
-  for (Eigen::Index i = 0; i < n; ++i) {
-    double diagonal = system.matrix.reaction[i][0];
-    for (std::int64_t k = system.matrix.row_start[i]; k < system.matrix.row_start[i + 1]; ++k) {
-      diagonal += system.matrix.coupling[k][0];
-      entries.emplace_back(i, system.matrix.column[k], -system.matrix.coupling[k][0]);
-    }
-    entries.emplace_back(i, i, diagonal);
-    right[i] = source[i][0];
-  }
-  a.setFromTriplets(entries.begin(), entries.end());
-  Eigen::ConjugateGradient<Eigen::SparseMatrix<double>, Eigen::Lower | Eigen::Upper> solver(a);
-  solver.setTolerance(1e-13);
-  const Eigen::VectorXd x = solver.solve(right);
-  Solved result{std::vector<Double4>(n, Double4{}), static_cast<int>(solver.iterations())};
-  for (Eigen::Index i = 0; i < n; ++i) result.fluence[i][0] = x[i];
-  return result;
+test::CouplingSolution solve(const EmbeddedSystem& system, const std::vector<Double4>& irradiance) {
+  return test::solve_coupling(system.matrix, boundary_source(system, irradiance));
 }
 
 std::vector<Double4> uniform(const EmbeddedGrid& grid) {
@@ -117,9 +92,9 @@ TEST(EmbeddedBoundary, WhiteObjectUnderUniformLightIsEvenAndReturnsAll) {
   const EmbeddedGrid grid = ball(5, 0.7, {0.1, 0.2, 0.05});
   const EmbeddedSystem system = assemble(grid, {0, 1});
   const std::vector<Double4> light = uniform(grid);
-  const Solved solved = solve(system, light);
-  for (const Double4& f : solved.fluence) EXPECT_NEAR(f[0], system.light_factor, 1e-8 * system.light_factor);
-  for (const Double4& m : boundary_exitance(system, solved.fluence, light)) EXPECT_NEAR(m[0], 1, 1e-8);
+  const test::CouplingSolution solved = solve(system, light);
+  for (const Double4& f : solved.values) EXPECT_NEAR(f[0], system.light_factor, 1e-8 * system.light_factor);
+  for (const Double4& m : boundary_exitance(system, solved.values, light)) EXPECT_NEAR(m[0], 1, 1e-8);
 }
 
 TEST(EmbeddedBoundary, ConservesEnergyUnderLightFromOneSide) {
@@ -128,7 +103,7 @@ TEST(EmbeddedBoundary, ConservesEnergyUnderLightFromOneSide) {
   std::vector<Double4> light(grid.pieces.size(), Double4{});
   for (std::size_t k = 0; k < light.size(); ++k)
     if (grid.pieces[k].normal.z() > 0.5) light[k] = Double4{1, 0, 0, 0};
-  const EnergyBalance balance = energy_balance(system, solve(system, light).fluence, light);
+  const EnergyBalance balance = energy_balance(system, solve(system, light).values, light);
   EXPECT_GT(balance.absorbed[0], 0.1 * balance.entering[0]);
   EXPECT_LT(balance.relative_defect[0], 1e-9);
 }
@@ -141,7 +116,7 @@ TEST(EmbeddedBoundary, BallsExitanceConvergesAtSecondOrder) {
       const EmbeddedGrid grid = ball(10, 1.6 / (1 << k), {0.13, 0.27, 0.41});
       const EmbeddedSystem system = assemble(grid, material);
       const std::vector<Double4> light = uniform(grid);
-      const std::vector<Double4> exitance = boundary_exitance(system, solve(system, light).fluence, light);
+      const std::vector<Double4> exitance = boundary_exitance(system, solve(system, light).values, light);
       double sum = 0, size = 0;
       for (std::size_t p = 0; p < exitance.size(); ++p) {
         sum += grid.pieces[p].area * std::pow(exitance[p][0] - exact.exitance, 2);
@@ -163,18 +138,18 @@ TEST(EmbeddedBoundary, SliversDoNotBreakIt) {
     const EmbeddedGrid grid = ball(5, 0.5, Vec3::Constant(0.5 * shift));
     const EmbeddedSystem system = assemble(grid, material);
     const std::vector<Double4> light = uniform(grid);
-    const Solved solved = solve(system, light);
+    const test::CouplingSolution solved = solve(system, light);
     least = std::min(least, solved.iterations);
     most = std::max(most, solved.iterations);
-    for (const Double4& f : solved.fluence) EXPECT_GT(f[0], 0);
+    for (const Double4& f : solved.values) EXPECT_GT(f[0], 0);
     double sum = 0, area = 0;
-    const std::vector<Double4> exitance = boundary_exitance(system, solved.fluence, light);
+    const std::vector<Double4> exitance = boundary_exitance(system, solved.values, light);
     for (std::size_t p = 0; p < exitance.size(); ++p) {
       sum += grid.pieces[p].area * exitance[p][0];
       area += grid.pieces[p].area;
     }
     EXPECT_NEAR(sum / area, exact.exitance, 0.01 * exact.exitance) << shift;
-    EXPECT_LT(energy_balance(system, solved.fluence, light).relative_defect[0], 1e-8);
+    EXPECT_LT(energy_balance(system, solved.values, light).relative_defect[0], 1e-8);
   }
   EXPECT_LT(most, 2 * least);
 }
@@ -185,9 +160,9 @@ TEST(EmbeddedBoundary, KeepsItsHeadInDarkMaterialOnACoarseGrid) {
   const EmbeddedSystem system = assemble(grid, {1, 20});
   for (const auto& outlet : system.outlets) EXPECT_GT(outlet.factor[0], 0);
   const std::vector<Double4> light = uniform(grid);
-  const Solved solved = solve(system, light);
-  for (const Double4& f : solved.fluence) EXPECT_GE(f[0], -1e-12);
-  EXPECT_LT(energy_balance(system, solved.fluence, light).relative_defect[0], 1e-9);
+  const test::CouplingSolution solved = solve(system, light);
+  for (const Double4& f : solved.values) EXPECT_GE(f[0], -1e-12);
+  EXPECT_LT(energy_balance(system, solved.values, light).relative_defect[0], 1e-9);
 }
 
 TEST(EmbeddedBoundary, AMeshAndItsLevelSetGiveTheSameGrid) {

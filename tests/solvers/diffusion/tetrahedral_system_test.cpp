@@ -3,12 +3,12 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/IterativeLinearSolvers>
 #include <array>
 #include <cmath>
 
 #include "meshing/core/error.h"
 #include "solvers/diffusion/closed_forms.h"
+#include "tests/support/coupling_solution.h"
 #include "tests/support/diffusion_problem.h"
 
 namespace shellgrid {
@@ -38,27 +38,7 @@ TetrahedralMesh split(const Polygrid& grid) {
 }
 
 std::vector<Double4> solve(const DiffusionSystem& system, const std::vector<Double4>& irradiance) {
-  const auto n = static_cast<Eigen::Index>(system.matrix.size());
-  const std::vector<Double4> source = boundary_source(system, irradiance);
-  Eigen::SparseMatrix<double> a(n, n);
-  std::vector<Eigen::Triplet<double>> entries;
-  Eigen::VectorXd right(n);
-  for (Eigen::Index i = 0; i < n; ++i) {
-    double diagonal = system.matrix.reaction[i][0];
-    for (std::int64_t k = system.matrix.row_start[i]; k < system.matrix.row_start[i + 1]; ++k) {
-      diagonal += system.matrix.coupling[k][0];
-      entries.emplace_back(i, system.matrix.column[k], -system.matrix.coupling[k][0]);
-    }
-    entries.emplace_back(i, i, diagonal);
-    right[i] = source[i][0];
-  }
-  a.setFromTriplets(entries.begin(), entries.end());
-  Eigen::ConjugateGradient<Eigen::SparseMatrix<double>, Eigen::Lower | Eigen::Upper> solver(a);
-  solver.setTolerance(1e-13);
-  const Eigen::VectorXd x = solver.solve(right);
-  std::vector<Double4> fluence(n, Double4{});
-  for (Eigen::Index i = 0; i < n; ++i) fluence[i][0] = x[i];
-  return fluence;
+  return test::solve_coupling(system.matrix, boundary_source(system, irradiance)).values;
 }
 
 DiffusionSystem assemble(const TetrahedralMesh& mesh, const DiffusionCoefficients& material) {
