@@ -118,6 +118,7 @@ void DiffusionSolver::set_material(const CellCoefficients& coefficients, double 
   contrast_ = extinction_contrast(coefficients);
   options.box_transfer = contrast_ > parameters_.rough_contrast && hierarchy_.skipped == 0;
   terms_ = assemble_levels(polygrid_, coefficients, options, hierarchy_);
+  patches_.prepare(levels_.front());
   prepare_coarsest();
   has_material_ = true;
   light_is_known_ = false;
@@ -202,10 +203,12 @@ void DiffusionSolver::cycle(std::size_t index, bool inner_light, bool from_zero,
     return;
   }
   smooth(index, smoothing.before, inner_light, from_zero);
+  if (index == 0 && from_zero) patches_.apply(levels_[0], inner_light, true);  // conjugate gradients want symmetry
   restrict_residual(levels_[index], levels_[index + 1], inner_light);
   add_deep_residual(index + 1, inner_light_);
   cycle(index + 1, true, true, smoothing);
   prolong_vector(levels_[index], levels_[index + 1].x, levels_[index].x, true);
+  if (index == 0) patches_.apply(levels_[0], inner_light, false);
   smooth(index, smoothing.after, inner_light, false);
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "solvers/diffusion/level_assembly.h"
+#include "solvers/diffusion/patch_correction.h"
 #include "solvers/diffusion/polygrid_system.h"
 
 namespace shellgrid {
@@ -137,6 +138,7 @@ class DiffusionSolver {
   double boundary_factor_ = 1, current_reflectance_ = 0;
   double contrast_ = 1;
   bool has_material_ = false;
+  PatchCorrection patches_;  // of the finest level
   std::array<Eigen::LDLT<Eigen::MatrixXd>, 3> coarsest_;
   bool direct_ = false;
 
