@@ -258,6 +258,11 @@ bool StageProgram::given(const std::string& flag) const {
   throw InternalError(impl_->table.name + " declares no option " + flag);
 }
 
+void StageProgram::refuse_unless(bool fits, const std::string& what, const std::vector<std::string>& flags) const {
+  for (const std::string& flag : flags)
+    if (given(flag) && !fits) throw UsageError(fmt::format("{}: only {} takes it", flag, what));
+}
+
 void StageProgram::Impl::declare_common() {
   if (common_declared) return;
   common_declared = true;

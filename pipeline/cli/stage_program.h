@@ -75,6 +75,9 @@ class StageProgram {
   void example(const std::string& command, const std::string& what);
   // Whether an option was on the command line; to be asked inside `body`.
   bool given(const std::string& flag) const;
+  // For options that have no meaning beside others: where one is on the command line and it does not `fit`, the
+  // program ends with exit code 2 and "FLAG: only WHAT takes it".
+  void refuse_unless(bool fits, const std::string& what, const std::vector<std::string>& flags) const;
 
   // Parses, runs `body`, writes the record, returns the exit code: 0 done, 1 internal fault, 2 usage,
   // 3 bad or missing input, 4 numerical failure; one line on stderr: `sg-NAME: error: …`.

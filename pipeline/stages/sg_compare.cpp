@@ -24,6 +24,8 @@ int main(int argc, char** argv) {
   program.flag("--json", as_json, "print the figures as JSON");
   program.example("sg-compare image.exr reference.exr -o difference.png --fail-above 0.01", "a test of two pictures");
   return program.run(argc, argv, [&](StageRun& run) {
+    program.refuse_unless(program.given("--fail-above"), "--fail-above", {"--measure"});
+    program.refuse_unless(!run.output().empty(), "a difference picture (-o)", {"--white"});
     const ArtefactComparison comparison = compare_artefacts(path, reference_path);
     nlohmann::json figures = nlohmann::json::array();
     std::string text = fmt::format("{:<32} {:>12} {:>12} {:>12} {:>12}", "", "rmse", "relative", "maximum", "mean");

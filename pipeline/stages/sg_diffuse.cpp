@@ -7,7 +7,6 @@
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "meshing/formats/vtkhdf_file.h"
-#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
@@ -115,15 +114,11 @@ Material core_material(const Scene& scene) {
 // Refuses options that have no meaning for this operator and source.
 void check_operator_options(const StageProgram& program, const std::string& operator_name,
                             const std::string& paper_solver, const std::string& source) {
-  const auto only_for = [&](const char* flag, bool fits, const char* what) {
-    if (!fits && program.given(flag)) throw UsageError(std::string(flag) + ": only " + what + " takes it");
-  };
   const bool paper = operator_name == "paper";
-  only_for("--paper-solver", paper, "the operator paper");
-  only_for("--paper-depths", paper && paper_solver == "adaptive", "the operator paper with --paper-solver adaptive");
-  only_for("--whole-grid", !paper, "the operator elements");
-  only_for("--initial", !paper, "the operator elements");
-  only_for("--beam-samples", source == "first-collision", "the source first-collision");
+  program.refuse_unless(paper, "the operator paper", {"--paper-solver"});
+  program.refuse_unless(paper && paper_solver == "adaptive", "--paper-solver adaptive", {"--paper-depths"});
+  program.refuse_unless(!paper, "the operator elements", {"--whole-grid", "--initial"});
+  program.refuse_unless(source == "first-collision", "the source first-collision", {"--beam-samples"});
 }
 
 }  // namespace

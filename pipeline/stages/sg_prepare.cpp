@@ -55,7 +55,8 @@ int main(int argc, char** argv) {
   return program.run(argc, argv, [&](StageRun& run) {
     options.retile = !no_retile;
     if (!rewrap.empty()) set_rewrap(options, rewrap);
-    if (options.retile && options.longest_edge > 0) throw UsageError("--longest-edge needs --no-retile");
+    program.refuse_unless(no_retile, "--no-retile", {"--longest-edge"});
+    program.refuse_unless(!no_retile, "a retiled surface", {"--spacing", "--feature-angle"});
     run.start_timer("read");
     AttributedMesh input = read_mesh(mesh_path);
     run.start_timer("prepare");

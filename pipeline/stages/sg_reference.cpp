@@ -65,16 +65,12 @@ struct TallyOptions {
 
   // Refuses options that have no meaning for what is measured.
   void check(const StageProgram& program) const {
-    const auto only_for = [&](const std::vector<const char*>& flags, bool fits, const std::string& what) {
-      for (const char* flag : flags)
-        if (!fits && program.given(flag)) throw UsageError(fmt::format("{}: only {} takes it", flag, what));
-    };
-    only_for({"--thickness", "--radius", "--absorption", "--scattering", "--anisotropy", "--ior", "--source", "--bins",
-              "--extent"},
-             shape != "none", "--tally");
-    only_for({"--thickness"}, shape == "none" || shape == "slab", "--tally slab");
-    only_for({"--radius"}, shape == "none" || shape == "sphere", "--tally sphere");
-    only_for({"--extent"}, shape != "sphere", "--tally slab or half-space");
+    program.refuse_unless(shape != "none", "--tally",
+                          {"--thickness", "--radius", "--absorption", "--scattering", "--anisotropy", "--ior",
+                           "--source", "--bins", "--extent"});
+    program.refuse_unless(shape == "none" || shape == "slab", "--tally slab", {"--thickness"});
+    program.refuse_unless(shape == "none" || shape == "sphere", "--tally sphere", {"--radius"});
+    program.refuse_unless(shape != "sphere", "--tally slab or half-space", {"--extent"});
   }
 
   TallyProblem problem(std::uint64_t seed) const {
@@ -354,9 +350,8 @@ int main(int argc, char** argv) {
     if (tallies && !inputs.scene.empty()) throw UsageError("--tally takes no scene");
     if (tallies != (extension == ".json"))
       throw UsageError(tallies ? "--tally writes .json" : "expected an output .ply or .exr, or --tally");
-    for (const char* flag : {"--channels-apart", "--no-interreflection"})
-      if (program.given(flag) && extension != ".ply")
-        throw UsageError(std::string(flag) + ": only light paths (.ply) take it");
+    program.refuse_unless(extension == ".ply", "the trace of light (.ply)",
+                          {"--channels-apart", "--no-interreflection"});
     tally_options.check(program);
     if (!tallies && inputs.surface.empty())
       throw UsageError(inputs.scene.empty() ? "missing scene.json surface.ply, or --tally" : "missing surface.ply");

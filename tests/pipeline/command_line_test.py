@@ -101,6 +101,12 @@ class CommandLineTest(unittest.TestCase):
     def test_options_without_their_companions_or_values(self):
         self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--spa", "3"), 2, "did you mean --spacing?")
         self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--size"), 2, "--size: its value is missing")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--longest-edge", "3"), 2, "only --no-retile takes it")
+        self.assert_refused(self.prepare("ball.off", "-o", "s.ply", "--no-retile", "--spacing", "3"), 2, "--spacing: only")
+        for words in (["--measure", "rmse"], ["--white", "1"]):
+            done = run("compare", "ball.off", "ball.off", *words, cwd=self.root)
+            self.assertEqual((done.returncode, done.stderr.count("\n")), (2, 1), done.stderr)
+            self.assertIn(words[0] + ": only", done.stderr)
         write_off(self.path("ball.vdb"), icosphere(1))
         for program, words, part in [("shell", ["--core-anisotropy", "0.2"], "--core-absorption"),
                                      ("shell", ["--core-scattering", "1"], "--core-absorption"),
