@@ -19,9 +19,9 @@ struct ClassificationOptions {
   std::vector<VoxelClass> classes;  // by rising value
   double voxel = 0;                 // edge of the sample's voxels, mm; 0: the volume's finest spacing
   double ior = 1.5;
-  int down = 2;          // the volume's axis that is the sample's depth: 0, 1, 2
-  bool descend = true;   // whether depth grows along that axis; else against it
-  bool mirror = false;   // beside its mirror images, so that it tiles: twice as wide and high [STF §8]
+  int down = 2;         // the volume's axis that is the sample's depth: 0, 1, 2
+  bool descend = true;  // whether depth grows along that axis; else against it
+  bool mirror = false;  // beside its mirror images, so that it tiles: twice as wide and high [STF §8]
   // Whether a border between two classes that are no neighbours by value is told from the classes between them: by the
   // values where the border begins and ends, along the gradient. Source: [Sereda2006 §3].
   bool trace_borders = true;

@@ -10,6 +10,7 @@
 #include "meshing/core/error.h"
 #include "pipeline/cli/nearest_name.h"
 #include "pipeline/scene/named_materials.h"
+#include "synthesis/solid_material.h"
 
 namespace shellgrid {
 
@@ -98,15 +99,19 @@ std::vector<std::string> DescriptionSection::texts(const std::string& key) {
 
 DescriptionSection DescriptionSection::section(const std::string& key) {
   if (!has(key)) fail(key, "is missing");
-  return {file_, place_of(key), values_.at(key)};
+  DescriptionSection inner(file_, place_of(key), values_.at(key));
+  inner.ior_ = ior_;
+  return inner;
 }
 
 std::vector<DescriptionSection> DescriptionSection::list(const std::string& key) {
   std::vector<DescriptionSection> elements;
   if (!has(key)) return elements;
   if (!values_.at(key).is_array()) fail(key, "expected a list [ … ]");
-  for (std::size_t i = 0; i < values_.at(key).size(); ++i)
+  for (std::size_t i = 0; i < values_.at(key).size(); ++i) {
     elements.emplace_back(file_, fmt::format("{}[{}]", place_of(key), i), values_.at(key)[i]);
+    elements.back().ior_ = ior_;
+  }
   return elements;
 }
 
@@ -145,6 +150,17 @@ Material read_material(DescriptionSection section) {
     } catch (const InputError& error) {
       section.fail("named", error.what());
     }
+  } else if (section.has("reflectance")) {
+    const Rgb reflectance = section.color("reflectance", Rgb::Zero(), 0, 1);
+    ColorMaterial matter;
+    matter.extinction = section.color("extinction", Rgb::Zero(), 0, 1e4);
+    if (!(matter.extinction > 0).all()) section.fail("extinction", "is missing or 0; expected mm⁻¹");
+    matter.anisotropy = section.color("anisotropy", Rgb::Zero(), -0.999, 0.999);
+    matter.brightest = 1;
+    matter.model = section.word("conversion", "transport", {"transport", "dipole"}) == "dipole"
+                       ? ReflectanceModel::dipole
+                       : ReflectanceModel::transport;
+    material = material_of_color(reflectance, matter, ReflectanceInversion(matter.model, section.ior()));
   } else {
     const Rgb missing = Rgb::Constant(-1);
     const Rgb absorption = section.color("absorption", missing, 0, 1e4);

@@ -39,6 +39,9 @@ class DescriptionSection {
   [[noreturn]] void fail(const std::string& key, const std::string& what) const;
   // The same of the description as a whole: "FILE: what is wrong".
   [[noreturn]] void refuse(const std::string& what) const;
+  // The index that materials given by their reflectance are looked at with; sections below take it over.
+  void set_ior(double ior) { ior_ = ior; }
+  double ior() const { return ior_; }
   // A path of the description, relative to its folder.
   std::string file(const std::string& name) const;
 
@@ -49,9 +52,11 @@ class DescriptionSection {
   std::string file_, place_;
   const nlohmann::json& values_;
   std::vector<std::string> known_;
+  double ior_ = 1.5;
 };
 
-// A material: {"named": …}, {"absorption", "scattering", "anisotropy"}.
+// A material: {"named": …}, {"absorption", "scattering", "anisotropy"}, or {"reflectance", "extinction", "anisotropy",
+// "conversion"}: what a half-space of it shows, linear.
 Material read_material(DescriptionSection section);
 
 }  // namespace shellgrid

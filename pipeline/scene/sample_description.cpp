@@ -61,7 +61,7 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
   const json document = parse(path);
   DescriptionSection root(path, "", document);
   std::vector<std::string> types = procedural_types();
-  types.insert(types.end(), {"volume", "meshes"});
+  types.insert(types.end(), {"volume", "meshes", "solid"});
   const std::string type = root.word("type", "", types);
   SampleRecipe recipe;
   SampleExtent& extent = recipe.extent;
@@ -75,6 +75,7 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
   extent.voxel_given = setting(extent.voxel, overrides.voxel, "voxel", 1e-6, 1e4);
   extent.thickness_given = setting(extent.thickness, overrides.thickness, "thickness", 1e-6, 1e4);
   const bool ior_given = setting(extent.ior, overrides.ior, "ior", 1, 4);
+  root.set_ior(extent.ior);
   if (type == "volume") {
     describe_volume(root, recipe);
     const auto make = recipe.make;
@@ -90,6 +91,8 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
     if (overrides.seed) extent.seed = *overrides.seed;
     if (type == "meshes")
       describe_meshes(root, recipe);
+    else if (type == "solid")
+      describe_solid(root, recipe);
     else
       describe_procedural(root, type, recipe);
   }

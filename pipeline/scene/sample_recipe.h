@@ -40,5 +40,6 @@ struct SampleRecipe {
 void describe_procedural(DescriptionSection& root, const std::string& type, SampleRecipe& recipe);
 void describe_volume(DescriptionSection& root, SampleRecipe& recipe);
 void describe_meshes(DescriptionSection& root, SampleRecipe& recipe);
+void describe_solid(DescriptionSection& root, SampleRecipe& recipe);
 
 }  // namespace shellgrid

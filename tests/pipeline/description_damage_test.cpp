@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <gtest/gtest.h>
 
+#include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "pipeline/scene/sample_description.h"
@@ -59,7 +60,12 @@ TEST(DamagedSampleDescription, SurvivesDamage) {
           "down": "-z", "mirror": true, "surface": 0.5, "borders": "traced", "crop": {"first": [1, 0, 0],
           "size": [5, 5, 3]}, "classes": [{"from": 0, "to": 60, "free": true}, {"value": 70,
           "material": {"named": "skin1"}}]})",
+      R"({"type": "solid", "size": [9, 8], "voxel": 0.4, "thickness": 1, "views": {"z": "view.png", "x": "view.png"},
+          "extinction": [2, 2, 3], "anisotropy": 0.1, "conversion": "dipole", "brightest": 0.9, "window": 5, "evenness": 1})",
+      R"({"type": "layers", "size": [9, 8], "voxel": 0.4, "thickness": 2,
+          "layers": [{"material": {"reflectance": [0.5, 0.4, 0.3], "extinction": 2, "conversion": "dipole"}}]})",
   };
+  write_png(folder / "view.png", 9, 8, std::vector<std::uint8_t>(9 * 8 * 3, 90));
   write_raw(folder / "v.raw", std::string(60, 'A') + std::string(63, 'z'));
   write_ply(folder / "part.ply", {octahedron(), {}});
   const std::string path = folder / "sample.json";
