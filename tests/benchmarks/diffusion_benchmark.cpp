@@ -19,6 +19,7 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "meshing/formats/mesh_file.h"
@@ -304,7 +305,7 @@ void run_paper(const std::string& size, const Polygrid& grid, const Scene& scene
     std::vector<Rgb> light;
     for (Eigen::Index p = 0; p < grid.points.rows(); ++p) light.push_back(to_rgb(own.soft_point_light(p)));
     PaperCase soft(grid, own.coefficients(), light);
-    soft.problem.tolerance = 1e-8;
+    soft.problem.tolerance = 1e-5;
     scene.judge(joined(at_vertices(paper, exitance), at_vertices(soft, soft.solve(grid))), judged);
   }
 
@@ -417,26 +418,36 @@ void take_system(DiffusionSystem& system, const std::vector<Double4>& irradiance
   problem.matrix = std::move(system.matrix);
 }
 
-void run_polygrid(const std::string& size, const std::string& path, const Scene& scene, Table& table) {
+// What a polygrid's discretisation tends to.
+struct ExactSolution {
+  std::vector<Double4> exitance, turned;  // at the outer unknowns; the latter of the turned light
+  std::vector<Double4> fluence;           // at the grid's points
+  std::vector<Rgb> at_vertices;           // exitance there, then that of the soft light
+
+  ExactSolution(const Polygrid& grid, const Scene& scene, bool with_turned) {
+    OwnSolver own(grid, scene);
+    own.set_material(1e-9);
+    if (with_turned) turned = own.exact(true);
+    exitance = own.exact(false);
+    fluence = own.solver().fluence();
+    at_vertices = own.at_vertices(exitance);
+  }
+};
+
+// `exact`: where it is known already.
+void run_polygrid(const std::string& size, const std::string& path, const Scene& scene,
+                  std::optional<ExactSolution>& exact, Table& table) {
   const Polygrid grid = read_polygrid(path);
   DiscreteProblem problem = named(size, "trilinear");
-  std::vector<Double4> fluence;  // at the grid's points
+  if (!exact) exact.emplace(grid, scene, true);
   {
-    std::vector<Double4> exact, exact_turned;
-    {
-      OwnSolver own(grid, scene);
-      own.set_material(1e-9);
-      exact_turned = own.exact(true);
-      exact = own.exact(false);
-      fluence = own.solver().fluence();
-      scene.judge(own.at_vertices(exact), problem);
-    }
+    scene.judge(exact->at_vertices, problem);
     std::vector<SolverParameters> composite(3);  // as deep as 5, 0.5 and 0.1 % want
     for (int k = 0; k < 3; ++k) composite[k].depth = k + 1;
-    run_own(size, grid, scene, {"shellgrid cold", {{}}, false}, exact, problem, table);
-    run_own(size, grid, scene, {"shellgrid adaptive", composite, false}, exact, problem, table);
-    run_own(size, grid, scene, {"shellgrid warm", {{}}, true}, exact_turned, problem, table);
-    run_own(size, grid, scene, {"shellgrid adaptive warm", composite, true}, exact_turned, problem, table);
+    run_own(size, grid, scene, {"shellgrid cold", {{}}, false}, exact->exitance, problem, table);
+    run_own(size, grid, scene, {"shellgrid adaptive", composite, false}, exact->exitance, problem, table);
+    run_own(size, grid, scene, {"shellgrid warm", {{}}, true}, exact->turned, problem, table);
+    run_own(size, grid, scene, {"shellgrid adaptive warm", composite, true}, exact->turned, problem, table);
   }
   {
     OwnSolver own(grid, scene);
@@ -446,7 +457,7 @@ void run_polygrid(const std::string& size, const std::string& path, const Scene&
     std::vector<Double4> irradiance, by_unknown;
     for (const std::int32_t point : system.point_of_unknown) {
       irradiance.push_back(to_double(to_lanes(own.point_light()[point])));
-      by_unknown.push_back(fluence[point]);
+      by_unknown.push_back(exact->fluence[point]);
     }
     take_system(system, irradiance, std::move(by_unknown), problem);
   }
@@ -577,17 +588,24 @@ int main(int argc, char** argv) {
   const auto file = [&](const char* kind, const std::string& size) {
     return (folder / (std::string(kind) + "-" + size + ".hdf")).string();
   };
-  for (const char* finest : {"3e6", "1e6"}) {
-    if (!std::filesystem::exists(file("polygrid", finest))) continue;
-    const Polygrid grid = read_polygrid(file("polygrid", finest));
-    OwnSolver own(grid, scene);
-    own.set_material(1e-9);
-    scene.finest = own.at_vertices(own.exact(false));
+  std::string finest;
+  std::optional<ExactSolution> exact_finest;
+  for (const char* size : {"3e6", "1e6"}) {
+    if (!std::filesystem::exists(file("polygrid", size))) continue;
+    finest = size;
+    const Polygrid grid = read_polygrid(file("polygrid", size), PolygridParts::cells);
+    const bool is_asked = std::find(sizes.begin(), sizes.end(), finest) != sizes.end();
+    exact_finest.emplace(grid, scene, is_asked);
+    scene.finest = exact_finest->at_vertices;
+    if (!is_asked) exact_finest.reset();
     break;
   }
   Table table;
   for (const std::string& size : sizes) {
-    run_polygrid(size, file("polygrid", size), scene, table);
+    std::optional<ExactSolution> exact;
+    if (size == finest) exact = std::move(exact_finest);
+    run_polygrid(size, file("polygrid", size), scene, exact, table);
+    exact.reset();
     if (std::filesystem::exists(file("tets", size))) run_tetrahedra(size, file("tets", size), scene, table);
     run_embedded(size, scene, table);
   }
