@@ -283,12 +283,14 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   result.light_directions = irradiance.directions;
   result.light_facing_away = irradiance.facing_away;
   result.light_occluded = irradiance.occluded;
-  const SurfaceTransfer transfer(polygrid, split.mesh(), &split.places());
+  SurfaceTransfer transfer(polygrid, split.mesh(), &split.places());
   result.largest_distance = transfer.largest_distance();
   const double size = (surface.vertices.colwise().maxCoeff() - surface.vertices.colwise().minCoeff()).norm();
   if (result.largest_distance > std::max(0.1 * size, 10 * polygrid.spacing))
     throw InputError(fmt::format("polygrid: the surface is another object's: it lies up to {:.3g} mm away",
                                  result.largest_distance));
+  const std::vector<Rgb> point_irradiance = transfer.to_points(irradiance.values);
+  transfer.drop_samples();
   progress.end();
 
   progress.begin("system", 1);
@@ -305,7 +307,6 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   }
 
   progress.begin("diffusion", 1);
-  const std::vector<Rgb> point_irradiance = transfer.to_points(irradiance.values);
   PointFields fields = options.operator_name == "paper"
                            ? solve_paper(polygrid, coefficients, ior, point_irradiance, options, result)
                            : solve_elements(polygrid, coefficients, ior, point_irradiance,

@@ -20,6 +20,9 @@ class SurfaceTransfer {
   // their nearest points; zero at other points. A constant stays that constant.
   std::vector<Rgb> to_points(const std::vector<Rgb>& vertex_values) const;
 
+  // Frees what to_points needs, which then cannot be called again.
+  void drop_samples() { samples_ = {}; }
+
   // A point field at the mesh's vertices: bilinear at the nearest point of the boundary quads.
   std::vector<Rgb> to_vertices(const std::vector<Rgb>& point_values) const;
 
