@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // Run time against error for every way of solving diffusion in one object: veined marble, red, green and blue, under a
 // parallel light with shadows.
-//   diffusion_benchmark FOLDER [SIZE …]
+//   diffusion_benchmark FOLDER [SIZE …] [--no-paper]
 // FOLDER holds surface.ply and for each SIZE polygrid-SIZE.hdf and, where tetrahedra are to be compared, tets-SIZE.hdf
 // (made by `make bench`); the regular grid with an embedded boundary is made here. Without sizes: 1e5 and 3e5, with
-// SG_LONG=1 also 1e6 and 3e6.
+// SG_LONG=1 also 1e6 and 3e6. --no-paper: without the paper's relaxations, which need their own exact solution.
 // Each row: what one method took to bring the exitance's algebraic error, the greatest of the channels, against the
 // exact solution of its own discretisation under one level. Seconds are the processor's, of all threads, beside those
 // on the wall; libraries are given their matrix (assembly_s), this project's set-up makes its own. `ratio` is set-up
@@ -439,7 +439,7 @@ struct ExactSolution {
 
 // `exact`: where it is known already.
 void run_polygrid(const std::string& size, const std::string& path, const Scene& scene,
-                  std::optional<ExactSolution>& exact, Table& table) {
+                  std::optional<ExactSolution>& exact, bool with_paper, Table& table) {
   const Polygrid grid = read_polygrid(path);
   DiscreteProblem problem = named(size, "trilinear");
   if (!exact) exact.emplace(grid, scene, true);
@@ -454,7 +454,7 @@ void run_polygrid(const std::string& size, const std::string& path, const Scene&
   }
   {
     OwnSolver own(grid, scene);
-    run_paper(size, grid, scene, own, table);
+    if (with_paper) run_paper(size, grid, scene, own, table);
     PolygridSystem system;
     problem.assembly = time_of([&] { system = assemble_polygrid_system(grid, own.coefficients(), ior); }).processor;
     std::vector<Double4> irradiance, by_unknown;
@@ -578,11 +578,12 @@ void run_embedded(const std::string& size, const Scene& scene, Table& table) {
 
 int main(int argc, char** argv) {
   if (argc < 2) {
-    std::fprintf(stderr, "diffusion_benchmark FOLDER [SIZE …]\n");
+    std::fprintf(stderr, "diffusion_benchmark FOLDER [SIZE …] [--no-paper]\n");
     return 2;
   }
   const std::filesystem::path folder = argv[1];
   std::vector<std::string> sizes(argv + 2, argv + argc);
+  const bool with_paper = std::erase(sizes, "--no-paper") == 0;
   if (sizes.empty())
     sizes = long_form() ? std::vector<std::string>{"1e5", "3e5", "1e6", "3e6"} : std::vector<std::string>{"1e5", "3e5"};
   Scene scene((folder / "surface.ply").string());
@@ -607,7 +608,7 @@ int main(int argc, char** argv) {
   for (const std::string& size : sizes) {
     std::optional<ExactSolution> exact;
     if (size == finest) exact = std::move(exact_finest);
-    run_polygrid(size, file("polygrid", size), scene, exact, table);
+    run_polygrid(size, file("polygrid", size), scene, exact, with_paper, table);
     exact.reset();
     if (std::filesystem::exists(file("tets", size))) run_tetrahedra(size, file("tets", size), scene, table);
     run_embedded(size, scene, table);
