@@ -93,13 +93,20 @@ SampleCheck check_sample(const MaterialSample& sample) {
 
   for (int axis = 0; axis < 2; ++axis) {
     const double ratio = axis == 0 ? check.seam_x : check.seam_y;
-    if (ratio > 1.5)
+    if (ratio > SampleCheck::most_seam)
       check.complaints.push_back(
           fmt::format("not tilable in {}: the step across the wrap-around is {:.3g} times the largest inside; crop the "
-                      "sample to whole periods or blend its edges",
+                      "sample to whole periods, or mirror it",
                       "xy"[axis], ratio));
   }
   const double needed_width = 2 * check.diffuse_mean_free_path.maxCoeff();
+  // The least whole number of voxels above a length.
+  const auto voxels_above = [&](double length) {
+    const double count = std::floor(length / sample.voxel) + 1;
+    return count < 1e9 ? static_cast<int>(count) : 0;
+  };
+  check.least_size = Vec3i(voxels_above(needed_width), voxels_above(needed_width),
+                           voxels_above(check.mesostructure_depth + 3 * check.mean_free_path.maxCoeff()));
   for (int axis = 0; axis < 2; ++axis) {
     const double width = sample.size[axis] * sample.voxel;
     if (width > needed_width) continue;

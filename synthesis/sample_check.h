@@ -15,7 +15,11 @@ struct SampleCheck {
   double mesostructure_depth = 0;            // mm from the top to the deepest free voxel's bottom
   // Mean step across the wrap-around over the largest mean step between neighbours inside; at most about 1 if tilable.
   double seam_x = 0, seam_y = 0;
-  double free_share = 0;                // of voxels
+  double free_share = 0;  // of voxels
+  Vec3i least_size =
+      Vec3i::Zero();  // n_x, n_y, n_z that would do with these mean free paths; 0 where they are infinite
+  bool tilable() const { return seam_x <= most_seam && seam_y <= most_seam; }
+  static constexpr double most_seam = 1.5;
   std::vector<std::string> complaints;  // each says what fails and which size would do; empty if nothing fails
 };
 

@@ -17,6 +17,7 @@
 #include "pipeline/scene/pattern_description.h"
 #include "pipeline/scene/sample_recipe.h"
 #include "synthesis/sample_archive.h"
+#include "synthesis/sample_check.h"
 #include "synthesis/sample_resize.h"
 
 namespace shellgrid {
@@ -76,6 +77,8 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
   extent.thickness_given = setting(extent.thickness, overrides.thickness, "thickness", 1e-6, 1e4);
   const bool ior_given = setting(extent.ior, overrides.ior, "ior", 1, 4);
   root.set_ior(extent.ior);
+  recipe.deepens = type != "volume";
+  recipe.grows = type == "solid";
   if (type == "volume") {
     describe_volume(root, recipe);
     const auto make = recipe.make;
@@ -98,6 +101,7 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
   }
   // Measured values are mirrored before they are classified.
   if (root.boolean("mirror", false) && !root.has("classes")) {
+    recipe.grows = false;
     recipe.make = [make = recipe.make](const SampleExtent& wanted) {
       MadeSample made = make(wanted);
       made.sample = mirror_sample(made.sample);
@@ -108,22 +112,67 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
   return recipe;
 }
 
+// Makes the sample until it passes the checks that a larger one can pass; deeper layers change the means, so that it
+// may take a second time.
+MadeSample make_large_enough(const SampleRecipe& recipe) {
+  SampleExtent extent = recipe.extent;
+  MadeSample made = recipe.make(extent);
+  std::vector<std::string> done;
+  for (int round = 0; round < 4; ++round) {
+    const SampleCheck check = check_sample(made.sample);
+    const Vec3i size = made.sample.size, least = check.least_size;
+    const bool deeper = least.z() > size.z();
+    const bool wider = recipe.grows && (least.x() > size.x() || least.y() > size.y());
+    if (!deeper && !wider) break;
+    if (deeper && !recipe.deepens) {
+      if (least.z() > 512) break;
+      made.sample = with_layers(made.sample, least.z());
+      done.push_back(fmt::format("the bottom layer continues down to {} layers", least.z()));
+      continue;
+    }
+    if (deeper) extent.thickness = least.z() * extent.voxel;
+    if (wider) extent.width = std::max(size.x(), least.x()), extent.height = std::max(size.y(), least.y());
+    if (std::max(extent.width, extent.height) > 2048 || extent.thickness > 512 * extent.voxel) break;
+    made = recipe.make(extent);
+    const Vec3i now = made.sample.size;
+    done.push_back(fmt::format("made with {} x {} x {} voxels", now.x(), now.y(), now.z()));
+  }
+  if (!check_sample(made.sample).tilable()) {
+    made.sample = mirror_sample(made.sample);
+    done.push_back("put beside its mirror images");
+  }
+  const Vec3i size = made.sample.size, least = check_sample(made.sample).least_size;
+  const int times_x = std::max(1, (least.x() + size.x() - 1) / size.x());
+  const int times_y = std::max(1, (least.y() + size.y() - 1) / size.y());
+  if (times_x * times_y > 1 && std::max(times_x * size.x(), times_y * size.y()) <= 2048) {
+    made.sample = repeat_sample(made.sample, times_x, times_y);
+    done.push_back(fmt::format("repeated {} by {} times", times_x, times_y));
+  }
+  made.figures["enlarged"] = done;
+  return made;
+}
+
 }  // namespace
 
 MadeSample make_sample(const std::string& path, const SampleOverrides& overrides) {
-  MadeSample made;
+  SampleRecipe recipe;
   if (is_volume(path)) {
-    const VdbArchive archive = read_vdb(path);
-    made.sample = is_sample_archive(archive) ? restore_sample(archive) : import_sample(archive, {});
-    SampleExtent extent;
-    if (overrides.voxel) made.sample.voxel = *overrides.voxel;
-    extent.thickness_given = overrides.thickness.has_value(), extent.thickness = overrides.thickness.value_or(0);
-    extent.ior = overrides.ior.value_or(0);
-    fit_volume(made.sample, extent, overrides.ior.has_value(), path);
-    return made;
+    recipe.deepens = false;
+    recipe.make = [&](const SampleExtent&) {
+      const VdbArchive archive = read_vdb(path);
+      MadeSample made;
+      made.sample = is_sample_archive(archive) ? restore_sample(archive) : import_sample(archive, {});
+      SampleExtent extent;
+      if (overrides.voxel) made.sample.voxel = *overrides.voxel;
+      extent.thickness_given = overrides.thickness.has_value(), extent.thickness = overrides.thickness.value_or(0);
+      extent.ior = overrides.ior.value_or(0);
+      fit_volume(made.sample, extent, overrides.ior.has_value(), path);
+      return made;
+    };
+    return overrides.enlarge ? naming(path, [&] { return make_large_enough(recipe); }) : recipe.make({});
   }
-  const SampleRecipe recipe = read_recipe(path, overrides);
-  return naming(path, [&] { return recipe.make(recipe.extent); });
+  recipe = read_recipe(path, overrides);
+  return naming(path, [&] { return overrides.enlarge ? make_large_enough(recipe) : recipe.make(recipe.extent); });
 }
 
 MaterialSample load_sample(const std::string& path, const SampleOverrides& overrides) {

@@ -32,8 +32,10 @@ struct SampleRecipe {
   SampleExtent extent;
   std::vector<std::string> files;   // that `make` reads
   std::vector<Material> materials;  // of which the sample is made; empty where files tell
-  // With another extent than the recipe's: a sample of the same material, larger by whole factors in x and y.
+  // With another thickness than the recipe's the same material, deeper.
   std::function<MadeSample(const SampleExtent&)> make;
+  bool deepens = true;  // else a greater thickness cannot be made
+  bool grows = false;   // whether another width and height can be made as well
 };
 
 // Each kind of source reads its own keys and fills the recipe, whose extent is set. Throw InputError.

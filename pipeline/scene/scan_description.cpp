@@ -85,14 +85,13 @@ void describe_meshes(DescriptionSection& root, SampleRecipe& recipe) {
     if (!text.file.empty()) recipe.files.push_back(text.file);
     if (!text.part.free) recipe.materials.push_back(text.part.material);
   }
-  const SampleExtent described = recipe.extent;
-  recipe.make = [texts, options, top, described](const SampleExtent& extent) {
+  recipe.make = [texts, options, top](const SampleExtent& extent) {
     std::vector<ScanPart> parts;
     for (const PartText& text : *texts) {
       ScanPart part = text.part;
       if (!text.file.empty()) part.mesh = read_mesh(text.file).mesh;
-      const double width = described.width * extent.voxel, height = described.height * extent.voxel;
       if (text.scatter > 0) {
+        const double width = extent.width * extent.voxel, height = extent.height * extent.voxel;
         const PartPlacement base = part.placements[0];
         part.placements.clear();
         // The same number of placements stands at the same points, so that dents and what lies in them meet.
@@ -103,18 +102,6 @@ void describe_meshes(DescriptionSection& root, SampleRecipe& recipe) {
           part.placements.push_back(
               {base.position + Vec3(point.x(), point.y(), 0), rotation_of(Vec3(0, 0, angle)) * base.turn});
         }
-      }
-      // A larger extent holds whole periods.
-      if (part.mesh.face_count() > 0) {
-        const std::vector<PartPlacement> period = part.placements;
-        for (int j = 0; j < extent.height / described.height; ++j)
-          for (int i = 0; i < extent.width / described.width; ++i) {
-            if (i + j == 0) continue;
-            for (PartPlacement placement : period) {
-              placement.position += Vec3(i * width, j * height, 0);
-              part.placements.push_back(placement);
-            }
-          }
       }
       parts.push_back(std::move(part));
     }

@@ -16,7 +16,7 @@ using namespace shellgrid;
 int main(int argc, char** argv) {
   std::string description;
   double voxel = 0.4, thickness = 4, ior = 1.5;
-  bool strict = false;
+  bool strict = false, enlarge = false;
   StageProgram program("sg-sample", "Makes the base volume: a small tilable block of material.");
   program.input("sample.json", description, "description of the sample, or a volume (.vdb)");
   program.output("sample.vdb", "the base volume");
@@ -25,6 +25,10 @@ int main(int argc, char** argv) {
   program.option("--thickness", thickness, "mm", "thickness, instead of the description's", 1e-6, 1e4);
   program.option("--ior", ior, "", "refractive index inside over outside, instead of the description's", 1, 4);
   program.flag("--strict", strict, "fail where a check of the sample's size or tilability fails");
+  program.flag(
+      "--enlarge", enlarge,
+      "where a check fails make the sample deeper, wider (whole periods repeat, solids grow), and put what does not "
+      "tile beside its mirror images");
   program.example("sg-sample assets/samples/marble.json -o sample.vdb", "a block of veined marble");
   return program.run(argc, argv, [&](StageRun& run) {
     SampleOverrides overrides;
@@ -32,6 +36,7 @@ int main(int argc, char** argv) {
     if (program.given("--thickness")) overrides.thickness = thickness;
     if (program.given("--ior")) overrides.ior = ior;
     if (program.given("--seed")) overrides.seed = run.seed();
+    overrides.enlarge = enlarge;
     run.start_timer("make");
     const MadeSample made = make_sample(description, overrides);
     const MaterialSample& sample = made.sample;

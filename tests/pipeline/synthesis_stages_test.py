@@ -140,6 +140,30 @@ class Chain(unittest.TestCase):
             self.refused(run("sample", small, "-o", out, "--strict"), 3, "n_x = 32 voxels")
             self.assertFalse(os.path.exists(out))
 
+    def test_enlarging_makes_samples_pass(self):
+        with workplace() as folder:
+            path, out = os.path.join(folder, "small.json"), os.path.join(folder, "small.vdb")
+            clear = {"absorption": [0.004, 0.01, 0.02], "scattering": [1, 1, 1]}
+            write_json(path, description(materials={"body": clear, "vein": clear}, thickness=1))
+            self.refused(run("sample", path, "-o", out, "--strict"), 3, "n_x = 32 voxels")
+            done = run("sample", path, "-o", out, "--strict", "--enlarge")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            results = record(out)["results"]
+            # 2 l_d = 2 / sqrt(3 * .004 * 1.004) = 18.2 mm: two periods of 16 mm; 3 / 1.004 mm deep: 6 layers.
+            self.assertEqual(results["size"], [64, 64, 6])
+            self.assertEqual(len(results["enlarged"]), 2)
+            # What is large enough stays as it is, and a volume that does not tile is mirrored.
+            self.assertEqual(run("sample", self.at("sample.json"), "-o", out, "--enlarge").returncode, 0)
+            self.assertEqual(read_bytes(out), read_bytes(self.at("sample.vdb")))
+            with open(os.path.join(folder, "ramp.raw"), "wb") as file:
+                file.write(bytes(10 * x for z in range(4) for y in range(24) for x in range(24)))
+            write_json(path, {"type": "volume", "file": "ramp.raw", "raw": {"size": [24, 24, 4]}, "spacing": 1,
+                              "classes": [{"value": 0, "material": BODY}, {"value": 230, "material": VEIN}]})
+            self.refused(run("sample", path, "-o", out, "--strict"), 3, "not tilable in x", "mirror")
+            done = run("sample", path, "-o", out, "--strict", "--enlarge")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertEqual(record(out)["results"]["size"], [48, 48, 4])
+
     def test_bad_descriptions(self):
         cases = [
             (description(vains=[]), "vains", "veins"),
