@@ -272,11 +272,13 @@ SurfaceTexture synthesize_surface(const TriangleMesh& mesh, const TextonSet& tex
   surface.normals = vertex_normals(mesh);
   result.hierarchy = build_vertex_hierarchy(mesh, surface.half_edges, surface.normals, textons.voxel,
                                             static_cast<int>(textons.levels.size()), options.seed);
-  surface.directions = make_direction_field(mesh, surface.normals, result.hierarchy, options.direction);
-  for (int index : direction_field_indices(mesh, surface.normals, surface.directions)) {
-    result.positive_singularities += std::max(0, index);
-    result.negative_singularities += std::max(0, -index);
-  }
+  surface.directions = make_direction_field(mesh, surface.normals, result.hierarchy, options.direction, options.orient);
+  const std::vector<int> indices = direction_field_indices(mesh, surface.normals, surface.directions);
+  for (int f = 0; f < mesh.face_count(); ++f)
+    if (indices[f] != 0)
+      result.singularities.push_back(
+          {(mesh.vertex(mesh.faces(f, 0)) + mesh.vertex(mesh.faces(f, 1)) + mesh.vertex(mesh.faces(f, 2))) / 3,
+           indices[f]});
   Synthesizer(textons, result, options).run(progress);
   return result;
 }

@@ -4,6 +4,8 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <string>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -48,12 +50,42 @@ Vec3 any_tangent(const Vec3& normal) {
   return normal.cross(Vec3::Unit(axis)).normalized();
 }
 
+std::string point_text(const Vec3& p) {
+  char text[96];
+  std::snprintf(text, sizeof text, "(%g, %g, %g)", p.x(), p.y(), p.z());
+  return text;
+}
+
+struct FixedVector {
+  std::int32_t vertex;
+  Vec3 direction;  // unit, tangent
+};
+
+std::vector<FixedVector> fix_vectors(const TriangleMesh& mesh, const VertexMatrix& normals,
+                                     const std::vector<DirectionConstraint>& constraints) {
+  std::vector<FixedVector> fixed;
+  for (const DirectionConstraint& constraint : constraints) {
+    if (!constraint.point.allFinite() || !constraint.direction.allFinite() || !(constraint.direction.norm() > 0))
+      throw InputError("the direction wanted at " + point_text(constraint.point) + " is not a direction");
+    Eigen::Index nearest = 0;
+    (mesh.vertices.rowwise() - constraint.point.transpose()).rowwise().squaredNorm().minCoeff(&nearest);
+    const Vec3 n = normals.row(nearest).transpose(), d = constraint.direction.normalized();
+    if ((d - n * n.dot(d)).norm() < 0.05)
+      throw InputError("the direction wanted at " + point_text(constraint.point) +
+                       " stands across the surface there: it must run along it");
+    fixed.push_back({static_cast<std::int32_t>(nearest), tangent_unit(d, n, d)});
+  }
+  return fixed;
+}
+
 }  // namespace
 
 VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& normals,
-                                  const VertexHierarchy& hierarchy, const Vec3& preferred) {
+                                  const VertexHierarchy& hierarchy, const Vec3& preferred,
+                                  const std::vector<DirectionConstraint>& constraints) {
   if (!(preferred.norm() > 0) || !preferred.allFinite()) throw InputError("preferred direction must not be zero");
   VertexMatrix field(mesh.vertex_count(), 3);
+  const std::vector<FixedVector> fixed = fix_vectors(mesh, normals, constraints);
   const Vec3 axis = preferred.normalized();
   parallel_for(mesh.vertex_count(), [&](std::size_t v) {
     const Vec3 n = normals.row(v).transpose();
@@ -74,6 +106,23 @@ VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& 
       });
       for (std::size_t i = 0; i < count; ++i) field.row(level.vertices[i]) = started[i].transpose();
     }
+    // What the constraints want of this level's vertices; zero where nothing.
+    std::vector<Vec3> wanted(fixed.empty() ? 0 : count, Vec3::Zero());
+    if (!fixed.empty()) {
+      std::vector<std::int32_t> position(mesh.vertex_count(), -1);
+      for (std::size_t i = 0; i < count; ++i) position[level.vertices[i]] = static_cast<std::int32_t>(i);
+      for (const FixedVector& f : fixed) {
+        const std::int32_t v = level.nearest[f.vertex];
+        wanted[position[v]] +=
+            carry_tangent(f.direction, normals.row(f.vertex).transpose(), normals.row(v).transpose());
+      }
+      for (std::size_t i = 0; i < count; ++i) {
+        if (wanted[i].norm() < 1e-9) continue;
+        const Vec3 own = field.row(level.vertices[i]).transpose();
+        wanted[i] = tangent_unit(wanted[i], normals.row(level.vertices[i]).transpose(), own);
+        field.row(level.vertices[i]) = wanted[i].transpose();
+      }
+    }
     const int sweeps = l + 1 == static_cast<int>(hierarchy.levels.size()) ? 200 : 20;
     std::vector<Vec3> smoothed(count);
     for (int sweep = 0; sweep < sweeps; ++sweep) {
@@ -83,7 +132,7 @@ VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& 
         Vec3 sum = own;  // its own share keeps the simultaneous update from oscillating
         for (std::int32_t at = graph.offsets[i]; at < graph.offsets[i + 1]; ++at)
           sum += field.row(level.vertices[graph.neighbours[at]]).transpose();
-        smoothed[i] = tangent_unit(sum, n, own);
+        smoothed[i] = !wanted.empty() && wanted[i].norm() > 0.5 ? wanted[i] : tangent_unit(sum, n, own);
       });
       for (std::size_t i = 0; i < count; ++i) field.row(level.vertices[i]) = smoothed[i].transpose();
     }

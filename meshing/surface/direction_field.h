@@ -1,16 +1,27 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <vector>
+
 #include "meshing/surface/half_edges.h"
 #include "meshing/surface/vertex_hierarchy.h"
 
 namespace shellgrid {
 
+// The field takes this direction at the vertex nearest to the point.
+struct DirectionConstraint {
+  Vec3 point;      // mm
+  Vec3 direction;  // any length but 0; its part in the tangent plane counts
+};
+
 // A smooth field of unit tangent vectors, one at each vertex (n×3).
 // Smooths coarse to fine on the hierarchy: each vector becomes the normalised projection of its neighbours' sum, the
 // extrinsic energy of [Jakob2015] without rotational symmetry. `preferred` is the direction that the field starts from
-// (any length but 0). The same at any thread count.
+// (any length but 0). Constrained vertices keep their vectors, on coarse levels the mean of those in their region. The
+// same at any thread count.
+// Throws: InputError for a direction that is zero, or stands across the surface at its point.
 VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& normals,
-                                  const VertexHierarchy& hierarchy, const Vec3& preferred);
+                                  const VertexHierarchy& hierarchy, const Vec3& preferred,
+                                  const std::vector<DirectionConstraint>& constraints = {});
 
 // Index of the field in each face (m): 0 regular, ±1 singular. Their sum is the Euler characteristic of a closed
 // surface, exactly. Source: [Knoeppel2013 §6.1.2], with vectors carried by the least rotation between normals.

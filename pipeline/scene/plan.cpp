@@ -252,6 +252,13 @@ void add_shell_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
   textons.artefacts = {"sample.vdb"};
   synthesize.reason = "the sample is spread over the surface without a seam";
   synthesize.arguments = {"surface.ply", "textons.vdb", "-o", "synthesized.ply", "--voxel", voxel};
+  if (!material.orient.empty()) {
+    std::string wanted;
+    for (const DirectionConstraint& o : material.orient)
+      for (const Vec3& v : {o.point, o.direction})
+        for (int k = 0; k < 3; ++k) wanted += (wanted.empty() ? "" : ",") + number_text(v[k]);
+    synthesize.arguments.insert(synthesize.arguments.end(), {"--orient", wanted});
+  }
   synthesize.artefacts = {"surface.ply", "textons.vdb"};
   shell.reason = "the material varies below the surface";
   shell.arguments = {"synthesized.ply", "distance.vdb", "sample.vdb", "-o", "shell.vdb", "--thickness", thickness};

@@ -108,7 +108,11 @@ SceneMaterial parse_material(const Section& section) {
   }
   if (section.has("shell")) {
     const Section shell = section.section("shell");
-    material.shell = ShellMaterial{shell.text_or_empty("sample"), shell.number("thickness"), shell.number("voxel")};
+    material.shell = ShellMaterial{shell.text_or_empty("sample"), shell.number("thickness"), shell.number("voxel"), {}};
+    for (std::size_t i = 0; i < shell.count("orient"); ++i) {
+      const Section wanted = shell.element("orient", i);
+      material.shell->orient.push_back({wanted.vector("point"), wanted.direction("direction")});
+    }
     if (material.shell->voxel > material.shell->thickness) shell.fail("voxel", "is larger than the shell's thickness");
   } else if (!section.has("core") || !section.value("core").is_object()) {
     section.fail(section.has("core") ? "core" : "", "expected shell, opaque, or a core with coefficients");

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "meshing/core/material.h"
+#include "meshing/surface/direction_field.h"
 #include "solvers/render/camera.h"
 #include "solvers/render/floor.h"
 #include "solvers/render/lights.h"
@@ -21,9 +22,10 @@ struct SceneObject {
 };
 
 struct ShellMaterial {
-  std::string sample;    // path of the sample description or .vdb
-  double thickness = 4;  // mm
-  double voxel = 0.4;    // d_0, mm
+  std::string sample;                       // path of the sample description or .vdb
+  double thickness = 4;                     // mm
+  double voxel = 0.4;                       // d_0, mm
+  std::vector<DirectionConstraint> orient;  // of the sample's x; points in the scene's frame
 };
 
 struct BottomLayerCore {};   // the mean of the sample's bottom layer

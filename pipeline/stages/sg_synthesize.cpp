@@ -16,7 +16,7 @@ using namespace shellgrid;
 int main(int argc, char** argv) {
   std::string surface_path, textons_path;
   SynthesisOptions options;
-  std::vector<double> direction = {0, 1, 0};
+  std::vector<double> direction = {0, 1, 0}, orient;
   double voxel = 0;
   StageProgram program("sg-synthesize", "Grows a sample over a surface: a texture coordinate for every vertex.");
   program.input("surface.ply", surface_path, "mesh with vertices a voxel apart, from sg-prepare");
@@ -24,6 +24,8 @@ int main(int argc, char** argv) {
   program.output("synthesized.ply", "the mesh with texture_u, texture_v, direction_x/y/z and colours");
   program.option("--voxel", voxel, "mm", "edge of a voxel; 0 takes the sample's", 0, 1e4);
   program.option("--direction", direction, "", "the texture's u runs this way where the surface allows");
+  program.list_option("--orient", orient, "mm",
+                      "where it must run otherwise: point and direction x,y,z,dx,dy,dz, and so on", -1e9, 1e9);
   program.option("--passes", options.passes, "", "correction passes at each level but the finest", 0, 100);
   program.option("--final-passes", options.final_passes, "", "correction passes at the finest level", 0, 100);
   program.option("--relaxation", options.relaxation_sweeps, "", "smoothing sweeps within patches after each pass", 0,
@@ -33,6 +35,12 @@ int main(int argc, char** argv) {
   return program.run(argc, argv, [&](StageRun& run) {
     options.direction = Vec3(direction[0], direction[1], direction[2]);
     if (!(options.direction.norm() > 0)) throw UsageError("--direction: must not be the zero vector");
+    if (orient.size() % 6 != 0) throw UsageError("--orient: takes six numbers for each point and direction");
+    for (std::size_t k = 0; k < orient.size(); k += 6) {
+      const double* o = orient.data() + k;
+      options.orient.push_back({Vec3(o[0], o[1], o[2]), Vec3(o[3], o[4], o[5])});
+      if (!(options.orient.back().direction.norm() > 0)) throw UsageError("--orient: a direction is the zero vector");
+    }
     run.start_timer("read");
     const AttributedMesh surface = read_mesh(surface_path);
     TextonSet textons = restore_textons(read_vdb(textons_path));
@@ -44,12 +52,18 @@ int main(int argc, char** argv) {
     const SynthesisQuality quality = measure_synthesis(texture, textons);
     run.start_timer("write");
     write_ply(run.output(), attach_texture(texture, textons));
-    nlohmann::json levels;
+    nlohmann::json levels, singularities = nlohmann::json::array();
+    int positive = 0, negative = 0;
+    for (const Singularity& s : texture.singularities) {
+      (s.index > 0 ? positive : negative) += std::abs(s.index);
+      singularities.push_back({{"point", {s.point.x(), s.point.y(), s.point.z()}}, {"index", s.index}});
+    }
     for (const VertexHierarchy::Level& level : texture.hierarchy.levels) levels.push_back(level.vertices.size());
     run.results() = {{"vertices", texture.coordinate.size()},
                      {"level_vertices", levels},
-                     {"singularities_positive", texture.positive_singularities},
-                     {"singularities_negative", texture.negative_singularities},
+                     {"singularities_positive", positive},
+                     {"singularities_negative", negative},
+                     {"singularities", singularities},
                      {"window_distance_over_variance", quality.window_distance},
                      {"window_distance_random", quality.random},
                      {"window_distance_tiling", quality.tiling},

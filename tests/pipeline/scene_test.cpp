@@ -52,7 +52,8 @@ class SceneFile : public testing::Test {
 TEST_F(SceneFile, GivesWhatIsInIt) {
   const Scene scene = read(R"({ // a comment
     "object": {"mesh": "m.off", "size": 60, "ior": 1.3, "close_holes": true},
-    "material": {"shell": {"sample": "s.json", "thickness": 3, "voxel": 0.5}, "core": "bottom-layer"},
+    "material": {"shell": {"sample": "s.json", "thickness": 3, "voxel": 0.5,
+      "orient": [{"point": [1, 2, 3], "direction": [0, 0, 2]}]}, "core": "bottom-layer"},
     "lights": [{"type": "directional", "direction": [0, 0, -2], "irradiance": [1, 2, 3]},
                {"type": "point", "position": [1, 2, 3], "intensity": 4},
                {"type": "environment", "zenith": 1, "lamps": [{"direction": [0, 3, 0], "half_angle": 90, "radiance": 2}]},
@@ -69,6 +70,9 @@ TEST_F(SceneFile, GivesWhatIsInIt) {
   EXPECT_EQ(scene.material->shell->sample, (folder_ / "s.json").string());
   EXPECT_EQ(scene.material->shell->thickness, 3);
   EXPECT_EQ(scene.material->shell->voxel, 0.5);
+  ASSERT_EQ(scene.material->shell->orient.size(), 1u);
+  EXPECT_EQ(scene.material->shell->orient[0].point, Vec3(1, 2, 3));
+  EXPECT_EQ(scene.material->shell->orient[0].direction, Vec3(0, 0, 1));
   EXPECT_TRUE(std::holds_alternative<BottomLayerCore>(scene.material->core));
   ASSERT_EQ(scene.lights.size(), 4u);
   const auto& area = std::get<AreaLight>(scene.lights[3]);

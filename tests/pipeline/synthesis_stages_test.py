@@ -4,6 +4,9 @@ import os
 import shutil
 import unittest
 
+import numpy
+
+from ply_file import read_ply
 from programs import SOURCE, icosphere, record, run, workplace, write_json, write_off
 
 BODY = {"absorption": [0.02, 0.03, 0.04], "scattering": [2, 2.2, 2.4]}
@@ -76,12 +79,33 @@ class Chain(unittest.TestCase):
     def test_figures_in_the_records(self):
         synthesized = record(self.at("synthesized.ply"))["results"]
         self.assertEqual(synthesized["singularities_positive"] - synthesized["singularities_negative"], 2)
+        self.assertEqual(sum(s["index"] for s in synthesized["singularities"]), 2)
+        for singularity in synthesized["singularities"]:
+            self.assertAlmostEqual(sum(x * x for x in singularity["point"]) ** 0.5, 6, delta=0.2)
         self.assertLess(synthesized["window_distance_over_variance"], synthesized["window_distance_random"] / 2)
         shell = record(self.at("shell.vdb"))["results"]
         self.assertLess(shell["leaves"], shell["possible_leaves"])
         # Grid points of a ball between radii 4 and 6 mm, 0.5 mm apart.
         expected = 4 / 3 * 3.14159 * (6 ** 3 - 4 ** 3) / 0.5 ** 3
         self.assertAlmostEqual(shell["voxels"] / expected, 1, delta=0.05)
+
+    def test_the_direction_is_the_users_where_he_wants(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "synthesized.ply")
+            done = run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out, "--orient",
+                       "0,0,6,1,1,0,0,0,-6,1,0,0", "--passes", 0, "--final-passes", 0)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            vertices, _ = read_ply(out)
+            for point, wanted in ((numpy.array([0, 0, 6.0]), numpy.array([1, 1, 0]) / 2 ** 0.5),
+                                  (numpy.array([0, 0, -6.0]), numpy.array([1.0, 0, 0]))):
+                places = numpy.stack([vertices[k] for k in "xyz"], axis=1)
+                nearest = numpy.argmin(((places - point) ** 2).sum(axis=1))
+                own = numpy.array([vertices["direction_" + k][nearest] for k in "xyz"])
+                self.assertGreater(float(own @ wanted), 0.99)
+            self.refused(run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out, "--orient",
+                             "0,0,6,1,1"), 2, "six numbers")
+            self.refused(run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out, "--orient",
+                             "0,0,6,0,0,1"), 3, "across the surface")
 
     def test_same_bytes_at_any_number_of_threads_and_other_bytes_for_another_seed(self):
         with workplace() as folder:

@@ -59,6 +59,44 @@ TEST(DirectionField, IsConstantOnAFlatPatch) {
     EXPECT_LT((field.directions.row(v).transpose() - expected).norm(), 1e-9);
 }
 
+// One constraint turns the field as a whole; several are all met, and what lies between turns smoothly.
+TEST(DirectionField, TakesTheDirectionsWantedOfIt) {
+  const TriangleMesh mesh = testing::torus(10, 4, 160, 64);
+  const HalfEdges half_edges = build_half_edges(mesh);
+  const VertexMatrix normals = vertex_normals(mesh);
+  const VertexHierarchy hierarchy = build_vertex_hierarchy(mesh, half_edges, normals, 0.4, 5, 3);
+  const std::vector<DirectionConstraint> wanted = {{Vec3(14, 0, 0), Vec3(0, 1, 1)}, {Vec3(-14, 0, 0), Vec3(0, 0, 1)}};
+  const VertexMatrix field = make_direction_field(mesh, normals, hierarchy, Vec3(0.2, 1, 0.1), wanted);
+  for (const DirectionConstraint& w : wanted) {
+    Eigen::Index v = 0;
+    (mesh.vertices.rowwise() - w.point.transpose()).rowwise().squaredNorm().minCoeff(&v);
+    EXPECT_GT(field.row(v).dot(w.direction.normalized().transpose()), 0.999);
+  }
+  const std::vector<int> indices = direction_field_indices(mesh, normals, field);
+  std::size_t sharp = 0;
+  for (int f = 0; f < mesh.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) {
+      const double cosine = field.row(mesh.faces(f, k)).dot(field.row(mesh.faces(f, (k + 1) % 3)));
+      sharp += cosine < 0.9;
+    }
+  EXPECT_LT(sharp, 0.01 * 3 * mesh.face_count());
+  EXPECT_EQ(std::accumulate(indices.begin(), indices.end(), 0), 0);
+}
+
+TEST(DirectionField, RefusesDirectionsAcrossTheSurface) {
+  const TriangleMesh mesh = testing::torus(10, 4, 80, 32);
+  const HalfEdges half_edges = build_half_edges(mesh);
+  const VertexMatrix normals = vertex_normals(mesh);
+  const VertexHierarchy hierarchy = build_vertex_hierarchy(mesh, half_edges, normals, 0.8, 4, 3);
+  const auto refused = [&](const Vec3& direction) {
+    EXPECT_THROW(make_direction_field(mesh, normals, hierarchy, Vec3(0, 1, 0), {{Vec3(14, 0, 0), direction}}),
+                 InputError);
+  };
+  refused(Vec3(1, 0, 0));
+  refused(Vec3::Zero());
+  refused(Vec3(std::nan(""), 0, 1));
+}
+
 TEST(HalfEdges, RefusesThreeFacesAtAnEdgeAndFlippedFaces) {
   TriangleMesh fan;
   fan.vertices.resize(5, 3);
