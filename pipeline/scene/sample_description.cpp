@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cmath>
 #include <cstring>
@@ -109,6 +110,11 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
     };
   }
   root.finish();
+  // A file that several parts use is one.
+  std::vector<std::string> files;
+  for (const std::string& file : recipe.files)
+    if (std::find(files.begin(), files.end(), file) == files.end()) files.push_back(file);
+  recipe.files = files;
   return recipe;
 }
 
