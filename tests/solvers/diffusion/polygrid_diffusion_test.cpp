@@ -207,7 +207,9 @@ TEST(PolygridDiffusion, ExitanceFallsBelowZeroByLessThanTheTolerance) {
       float largest = 0;
       for (const Rgb& value : r.exitance) largest = std::max(largest, value.maxCoeff());
       EXPECT_GT(r.least_exitance, -0.1 * tolerance * largest) << coefficient << " " << tolerance;
-      if (coefficient == 0.6) EXPECT_EQ(r.negative_vertices > 0, tolerance > 1e-8) << tolerance;
+      if (coefficient == 0.6) {
+        EXPECT_EQ(r.negative_vertices > 0, tolerance > 1e-8) << tolerance;
+      }
     }
 }
 
