@@ -158,8 +158,13 @@ class Model {
       for (int axis = 0; axis < 2; ++axis) home[axis] = -period[axis] * std::floor(body.lower[axis] / period[axis]);
       for (int v = 0; v < body.mesh.vertex_count(); ++v) body.mesh.vertices.row(v) += home.transpose();
       body.lower += home, body.upper += home;
-      body.first = frame_.to_index(body.lower).array().ceil().cast<int>();
-      body.last = frame_.to_index(body.upper).array().floor().cast<int>();
+      // Far above and below the sample it does not matter where.
+      Vec3 first = frame_.to_index(body.lower).array().ceil(), last = frame_.to_index(body.upper).array().floor();
+      first.z() = std::clamp(first.z(), -1.0, static_cast<double>(count_.z()));
+      last.z() = std::clamp(last.z(), -1.0, static_cast<double>(count_.z()));
+      body.first = first.cast<int>();
+      // At least one line, so that bodies between lines are no exception.
+      body.last = last.cwiseMax(first).cast<int>();
       const Vec3 lines = (body.last - body.first).cast<double>();
       if (lines.x() * lines.y() > 5e7)
         throw InputError(fmt::format("part {} is {:.4g} by {:.4g} voxels wide, too large for a sample", part_index,

@@ -141,6 +141,14 @@ TEST(ScanConversion, PartsOfABodyOverhang) {
   EXPECT_EQ(changes, 2);
 }
 
+TEST(ScanConversion, BodiesSmallerThanAPlaceOrFarAboveLeaveNoTrace) {
+  const std::vector<ScanPart> parts = {ground(0, marble_body()), ball({4.02, 4.03, -1.01}, 1e-4, marble_vein()),
+                                       ball({4, 4, 1e6}, 1, marble_vein()), ball({4, 4, -1e6}, 1, marble_vein())};
+  const MaterialSample sample = scan_convert(parts, options(20, 0.4, 4, 0)).sample;
+  for (std::size_t i = 0; i < sample.voxel_count(); ++i)
+    ASSERT_NEAR(sample.extinction[i][0], marble_body().extinction[0], 1e-4);
+}
+
 TEST(ScanConversion, RefusesOpenMeshesEmptyScenesAndBodiesOutOfScale) {
   ScanPart open = ball({4, 4, -3}, 1, marble_body());
   open.mesh.faces.conservativeResize(open.mesh.face_count() - 1, 3);
