@@ -12,11 +12,11 @@
 namespace shellgrid {
 namespace {
 
-constexpr int relaxations = 8;          // sweeps that find slow points
-constexpr float damping = 0.9f;         // of them; the smoother's spectrum ends below 2
-constexpr float slow = 0.06f;           // of values that began in (−1, 1): what is left where points are slow
-constexpr double most_slow = 0.004;     // share of the level's points
-constexpr std::size_t most_seeds = 16;  // slow points of one patch
+constexpr int relaxations = 8;         // sweeps that find slow points
+constexpr float damping = 0.9f;        // of them; the smoother's spectrum ends below 2
+constexpr float slow = 0.06f;          // of values that began in (−1, 1): what is left where points are slow
+constexpr double most_slow = 0.0012;   // share of the level's points
+constexpr std::size_t most_seeds = 6;  // slow points of one patch
 
 float read(float value) { return value; }
 float read(Half value) {
@@ -207,6 +207,7 @@ void PatchCorrection::prepare(RunLevel& level) {
   std::vector<std::uint64_t> writes, reads;                 // colours that do so at an unknown
   std::vector<std::int32_t> colour_slot(level.size(), -1);  // of an unknown in these two
   std::vector<std::vector<Patch>> colours;
+  std::size_t factor_size = 0;
   for (const std::vector<std::int32_t>& seeds : groups) {
     std::vector<std::int32_t> own;
     const auto take = [&](std::int32_t u) {
@@ -246,13 +247,18 @@ void PatchCorrection::prepare(RunLevel& level) {
         entries_.push_back({coupling, place[other]});
       });
       row.end = static_cast<std::int64_t>(entries_.size());
+      const auto i = static_cast<std::int32_t>(row_.size() - patch.row);
+      row.first = i;
+      for (std::int64_t e = row.begin; e < row.end; ++e) row.first = std::min(row.first, entries_[e].other);
       row.reaction = u < inner
                          ? Float4{level.reaction.inner[0][u], level.reaction.inner[1][u], level.reaction.inner[2][u], 0}
                          : level.reaction.outer[u - inner];
       row_.push_back(row);
     }
     patch.reached = static_cast<std::int32_t>(reach_.size() - patch.reach);
-    factor(patch);
+    patch.factor = factor_size;
+    for (std::size_t k = patch.row; k < row_.size(); ++k)
+      factor_size += k - patch.row - static_cast<std::size_t>(row_[k].first);
     patch_points_ += own.size();
 
     // The first colour whose patches neither read what this one writes nor write what it reads.
@@ -283,19 +289,18 @@ void PatchCorrection::prepare(RunLevel& level) {
     patches_.insert(patches_.end(), of_colour.begin(), of_colour.end());
     colour_start_.push_back(patches_.size());
   }
+  factors_.resize(factor_size);
+  parallel_for(
+      patches_.size(), [&](std::size_t k) { factor(patches_[k]); }, 4);
 }
 
 // L D Lᵀ within each row's envelope, in double precision.
-void PatchCorrection::factor(Patch& patch) {
+void PatchCorrection::factor(const Patch& patch) {
   const std::int32_t n = patch.points;
-  patch.factor = factors_.size();
   std::vector<std::int32_t> first(n);
   std::vector<std::size_t> start(n + 1, 0);
   for (std::int32_t i = 0; i < n; ++i) {
-    Row& row = row_[patch.row + i];
-    first[i] = i;
-    for (std::int64_t e = row.begin; e < row.end; ++e) first[i] = std::min(first[i], entries_[e].other);
-    row.first = first[i];
+    first[i] = row_[patch.row + i].first;
     start[i + 1] = start[i] + static_cast<std::size_t>(i - first[i]);
   }
   std::vector<Double4> lower(start[n], Double4{}), pivot(n);
@@ -326,8 +331,7 @@ void PatchCorrection::factor(Patch& patch) {
     }
     row.inverse_pivot = to_float(pivot[i]);
   }
-  factors_.reserve(factors_.size() + lower.size());
-  for (const Double4& value : lower) factors_.push_back(to_float(value));
+  for (std::size_t k = 0; k < lower.size(); ++k) factors_[patch.factor + k] = to_float(lower[k]);
 }
 
 void PatchCorrection::solve(const Patch& patch, RunLevel& level, bool inner_light) const {

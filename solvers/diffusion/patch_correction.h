@@ -47,7 +47,7 @@ class PatchCorrection {
   };
 
   void solve(const Patch& patch, RunLevel& level, bool inner_light) const;
-  void factor(Patch& patch);
+  void factor(const Patch& patch);
 
   std::vector<Patch> patches_;  // by colour: those of one do not touch each other
   std::vector<std::size_t> colour_start_;
