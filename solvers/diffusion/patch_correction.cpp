@@ -15,8 +15,9 @@ namespace {
 constexpr int relaxations = 8;         // sweeps that find slow points
 constexpr float damping = 0.9f;        // of them; the smoother's spectrum ends below 2
 constexpr float slow = 0.06f;          // of values that began in (−1, 1): what is left where points are slow
-constexpr double most_slow = 0.0012;   // share of the level's points
-constexpr std::size_t most_seeds = 6;  // slow points of one patch
+constexpr double most_slow = 0.0012;   // share of the level's points, or
+constexpr std::size_t always = 200;    // so many
+constexpr std::size_t most_seeds = 8;  // slow points of one patch
 
 float read(float value) { return value; }
 float read(Half value) {
@@ -155,7 +156,7 @@ std::vector<std::int32_t> slow_points(RunLevel& level) {
       size = std::max(size, greatest(level.x.outer[s++]));
     if (size > slow) found.emplace_back(-size, static_cast<std::int32_t>(u));
   }
-  const auto most = static_cast<std::size_t>(most_slow * static_cast<double>(inner));
+  const std::size_t most = std::max(always, static_cast<std::size_t>(most_slow * static_cast<double>(inner)));
   if (found.size() > most) {
     std::sort(found.begin(), found.end());
     found.resize(most);

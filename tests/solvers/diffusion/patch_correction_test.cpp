@@ -97,7 +97,7 @@ TEST(PatchCorrection, FindsWhereCellsAreSqueezed) {
 
 // What is left of the residual of one patch's points is rounding.
 TEST(PatchCorrection, SolvesAPatchExactly) {
-  Prepared p(squeezed_cube(0.01, 2));
+  Prepared p(squeezed_cube(0.01, 1));
   const std::size_t inner = p.level.inner_size();
   const LevelVector<float> x = corrected(p, 2, false);
   LevelVector<float> image(inner, p.level.surface.size());
