@@ -59,6 +59,13 @@ int main(int argc, char** argv) {
       singularities.push_back({{"point", {s.point.x(), s.point.y(), s.point.z()}}, {"index", s.index}});
     }
     for (const VertexHierarchy::Level& level : texture.hierarchy.levels) levels.push_back(level.vertices.size());
+    nlohmann::json wider = nlohmann::json::array();
+    for (const WindowDistance& w : quality.wider)
+      wider.push_back({{"places", w.places},
+                       {"step", w.step},
+                       {"distance_over_variance", w.synthesized},
+                       {"random", w.random},
+                       {"tiling", w.tiling}});
     run.results() = {{"vertices", texture.coordinate.size()},
                      {"level_vertices", levels},
                      {"singularities_positive", positive},
@@ -67,8 +74,14 @@ int main(int argc, char** argv) {
                      {"window_distance_over_variance", quality.window_distance},
                      {"window_distance_random", quality.random},
                      {"window_distance_tiling", quality.tiling},
+                     {"wider_windows", wider},
+                     {"window_distance_at_singularities", quality.at_singularities},
+                     {"window_distance_elsewhere", quality.elsewhere},
+                     {"texton_chi_squared", quality.texton_chi_squared},
+                     {"autocorrelation_error", quality.autocorrelation_error},
                      {"coherence", quality.coherence},
                      {"texel_entropy", quality.texel_entropy},
+                     {"patch_entropy", quality.patch_entropy},
                      {"patches", quality.patches},
                      {"median_patch_vertices", quality.median_patch}};
     run.print(fmt::format("{} vertices, window distance {:.3f} (random {:.3f}, copy {:.3f}), coherence {:.2f}",

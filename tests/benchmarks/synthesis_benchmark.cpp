@@ -63,7 +63,8 @@ int main(int argc, char** argv) {
       const double seconds =
           test::median_seconds(runs, [&] { texture = synthesize_surface(mesh, textons, method.synthesis); });
       if (own == 0) own = seconds;
-      const SynthesisQuality quality = measure_synthesis(texture, textons, test::long_form() ? 4096 : 1024);
+      const SynthesisQuality quality =
+          measure_synthesis(texture, textons, {.windows = test::long_form() ? 4096 : 1024});
       fmt::print("{},{},{:.3f},{:.3f},{:.2f},{:.4f},{:.4f},{:.4f},{:.3f},{:.3f},{:.0f}\n", method.name,
                  mesh.vertex_count(), analysis, seconds, seconds / own, quality.window_distance, quality.random,
                  quality.tiling, quality.coherence, quality.texel_entropy, quality.median_patch);

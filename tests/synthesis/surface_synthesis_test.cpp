@@ -4,9 +4,11 @@
 #include <gtest/gtest.h>
 #include <oneapi/tbb/global_control.h>
 
+#include <cmath>
 #include <set>
 
 #include "meshing/core/error.h"
+#include "meshing/core/random.h"
 #include "synthesis/synthesis_quality.h"
 #include "tests/synthesis/synthesis_shapes.h"
 
@@ -84,6 +86,14 @@ TEST(SurfaceSynthesis, ShowsTheSampleFarBetterThanChance) {
   EXPECT_LT(quality.window_distance, quality.random / 3);
   EXPECT_GT(quality.coherence, 0.6);
   EXPECT_GT(quality.texel_entropy, 0.7);
+  ASSERT_EQ(quality.wider.size(), 2u);
+  for (const WindowDistance& w : quality.wider) {
+    EXPECT_LT(w.tiling, w.random / 2) << w.places << " " << w.step;
+    EXPECT_LT(w.synthesized, w.random) << w.places << " " << w.step;  // wide ones hold several patches
+  }
+  EXPECT_LT(quality.wider[0].synthesized, quality.wider[0].random / 2);
+  EXPECT_LT(quality.texton_chi_squared, 0.3);
+  EXPECT_LT(quality.autocorrelation_error, 0.2);
   for (const Vec2f& c : texture.coordinate) {
     EXPECT_TRUE(c.x() >= 0 && c.x() < 64 && c.y() >= 0 && c.y() < 64) << c.transpose();
   }
@@ -110,6 +120,29 @@ TEST(SurfaceSynthesis, AConstantSampleLooksTheSameEverywhere) {
   const SurfaceTexture texture = synthesize_surface(testing::sphere(6, 5), textons, {});
   const SynthesisQuality quality = measure_synthesis(texture, textons);
   EXPECT_EQ(quality.window_distance, 0);
+}
+
+// Each figure must see its own fault.
+TEST(SynthesisQuality, SeesDisorderMonotonyAndCopies) {
+  const TextonSet textons = marble_textons(64);
+  SurfaceTexture texture = synthesize_surface(testing::torus(8, 3, 125, 47), textons, {});
+  const SynthesisQuality good = measure_synthesis(texture, textons);
+  const std::vector<Vec2f> coordinate = texture.coordinate;
+  for (std::size_t v = 0; v < coordinate.size(); ++v)
+    texture.coordinate[v] =
+        Vec2f(static_cast<float>(64 * to_unit(hash64(1, v))), static_cast<float>(64 * to_unit(hash64(2, v))));
+  const SynthesisQuality disorder = measure_synthesis(texture, textons);
+  EXPECT_GT(disorder.window_distance, 3 * good.window_distance);
+  EXPECT_NEAR(disorder.window_distance, disorder.random, 0.2 * disorder.random);
+  EXPECT_GT(disorder.autocorrelation_error, 2 * good.autocorrelation_error);
+  EXPECT_LT(disorder.texton_chi_squared, 0.05);
+  EXPECT_GT(disorder.patch_entropy, 0.9);
+  // One corner of the sample again and again.
+  for (std::size_t v = 0; v < coordinate.size(); ++v)
+    texture.coordinate[v] = Vec2f(std::fmod(coordinate[v].x(), 8.0f), std::fmod(coordinate[v].y(), 8.0f));
+  const SynthesisQuality monotony = measure_synthesis(texture, textons);
+  EXPECT_GT(monotony.texton_chi_squared, 3 * good.texton_chi_squared);
+  EXPECT_LT(monotony.texel_entropy, good.texel_entropy - 0.1);
 }
 
 TEST(SurfaceSynthesis, SameAtAnyThreadCountAndAnotherForAnotherSeed) {
