@@ -362,11 +362,12 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   report.unknowns = size();
   report.skipped = hierarchy_.skipped;
   report.level_sizes = level_sizes();
-  const bool start = warm && has_solution_ && levels_.size() > 1;
-  if (start)
+  bool start = warm && has_solution_ && levels_.size() > 1;
+  if (start) {
     start_warm(light);
-  else
-    set_light(light);
+    start = !started_far_off();
+  }
+  if (!start) set_light(light);
   bool dark = true;
   for (int c = 0; c < 3; ++c) dark = dark && scale_[c] == 0;
   if (dark) {
@@ -536,6 +537,7 @@ void DiffusionSolver::start_warm(const DiffusionLight& light) {
     if (own_inner) set_light(light);
   }
   lights_[0].outer = own_light;
+  warm_factor_ = by_light ? factor : Double4{1, 1, 1, 1};
   for (std::size_t s = 0; s < outer; ++s) {
     const Float4 change = finest.x.outer[s] - first_outer_[s];
     finest.x.outer[s] += (by_light ? to_float(factor) : Float4{1, 1, 1, 1}) * previous_.outer[s];
@@ -556,6 +558,21 @@ void DiffusionSolver::start_warm(const DiffusionLight& light) {
     }
   }
   load_light(0, false);
+}
+
+// Whether the old solution dwarfs the new one: then what rounding and its own error left of it would, too.
+bool DiffusionSolver::started_far_off() const {
+  const RunLevel& finest = levels_.front();
+  Double4 old_size = {}, new_size = {};
+  for (std::size_t s = 0; s < finest.surface.size(); ++s) {
+    const Double4 weight = to_double(finest.reaction.outer[s]), now = to_double(finest.x.outer[s]);
+    const Double4 before = warm_factor_ * to_double(previous_.outer[s]);
+    old_size += weight * before * before;
+    new_size += weight * now * now;
+  }
+  for (int c = 0; c < 3; ++c)
+    if (!(old_size[c] <= 100 * new_size[c])) return true;
+  return false;
 }
 
 void DiffusionSolver::apply_cycle(const LevelVector<double>& right_side, LevelVector<double>& x) {

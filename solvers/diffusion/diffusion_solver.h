@@ -118,6 +118,7 @@ class DiffusionSolver {
   void cycle(std::size_t level, bool inner_light, bool from_zero, Smoothing smoothing);
   void full_multigrid(bool correct_finest);
   void start_warm(const DiffusionLight& light);
+  bool started_far_off() const;
   void load_light(std::size_t level, bool whole);
   void add_deep_residual(std::size_t level, bool inner_light);
   void keep_deep_solution(std::size_t level, bool add);
@@ -154,6 +155,7 @@ class DiffusionSolver {
   bool warm_by_light_ = false;
   double last_estimate_ = 0;
   LevelVector<float> previous_;  // where a warm start begins
+  Double4 warm_factor_ = {};     // on it, for the present light
   std::vector<ChannelPlanes<float>> previous_deep_;
   Double4 shift_ = {};
 };

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 
 #include "meshing/core/error.h"
 #include "solvers/diffusion/boundary_irradiance.h"
@@ -100,6 +101,42 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
       cut_off = std::max(cut_off, result.beams->cut_off_power[c] / result.beams->entering[c]);
   if (cut_off > 1e-3)
     progress.warn(percent(cut_off) + " of the beams' light was cut off on its way and left where it was");
+}
+
+// The least distance of a lamp, as far as it has a place, from the grid's surface points.
+double distance_of(const Light& light, const Polygrid& polygrid) {
+  const auto least = [&](const auto& nearest_on_lamp) {
+    double square = std::numeric_limits<double>::infinity();
+    for (Eigen::Index q = 0; q < polygrid.boundary_quads.rows(); ++q)
+      for (int k = 0; k < 4; ++k) {
+        const Vec3 point = polygrid.points.row(polygrid.boundary_quads(q, k)).transpose();
+        square = std::min(square, (nearest_on_lamp(point) - point).squaredNorm());
+      }
+    return std::sqrt(square);
+  };
+  if (const auto* lamp = std::get_if<PointLight>(&light))
+    return least([&](const Vec3&) -> Vec3 { return lamp->position; });
+  if (const auto* lamp = std::get_if<AreaLight>(&light)) {
+    const AreaFrame frame(*lamp);
+    return least([&](const Vec3& point) -> Vec3 {
+      const Vec3 way = point - lamp->position;
+      return lamp->position + std::clamp(way.dot(frame.right), -lamp->width / 2, lamp->width / 2) * frame.right +
+             std::clamp(way.dot(frame.up), -lamp->height / 2, lamp->height / 2) * frame.up;
+    });
+  }
+  return std::numeric_limits<double>::infinity();
+}
+
+// Light is sampled at points a cell apart: what a nearer lamp sends between them is lost.
+void warn_of_near_lamps(const std::vector<Light>& lights, const Polygrid& polygrid, Progress& progress) {
+  for (std::size_t k = 0; k < lights.size(); ++k) {
+    const double distance = distance_of(lights[k], polygrid);
+    if (distance < 2 * polygrid.spacing)
+      progress.warn(fmt::format(
+          "lights[{}] stands {:.3g} mm from the surface and cells are {:.3g} mm wide: much of its light falls between "
+          "the points at which it is sampled and is lost; try more nodes (method.nodes), or sg-reference",
+          k, distance, polygrid.spacing));
+  }
 }
 
 // Says what is wrong with a solution; refuses one that is no picture of anything.
@@ -324,6 +361,7 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   }
   result.surface_entering = surface_integral(surface, result.irradiance);
   result.surface_leaving = surface_integral(surface, result.exitance);
+  warn_of_near_lamps(lights, polygrid, progress);
   judge_solution(polygrid, options, result, progress);
   return result;
 }

@@ -138,8 +138,8 @@ TEST(DiffusionSolver, AWarmStartEndsWhereAColdOneDoes) {
     });
   };
   solver.set_material(coefficients, 1.5, 1e-10);
-  // Turned a little; much brighter; dark and lit again.
-  for (const double power : {1.0, 1e4, 0.0, 1.0}) {
+  // Turned a little; much brighter; much darker; dark and lit again.
+  for (const double power : {1.0, 1e4, 1e-4, 0.0, 1.0}) {
     const DiffusionLight light = lamp(0.1, power);
     solver.solve(light, 1e-9);
     const std::vector<Double4> exact = solver.exitance(light);

@@ -142,6 +142,25 @@ TEST(PolygridDiffusion, LightIsLinear) {
     ASSERT_NEAR(both.exitance[v][0], a.exitance[v][0] + b.exitance[v][0], 1e-4);
 }
 
+TEST(PolygridDiffusion, WarnsOfLampsNearerThanItsCells) {
+  struct Listener : Progress {
+    std::string heard;
+    void warn(const std::string& message) override { heard += message + "\n"; }
+  };
+  const Ball ball;
+  const double radius = ball.surface.vertices.rowwise().norm().maxCoeff();
+  const auto heard = [&](const Light& light) {
+    Listener listener;
+    solve_polygrid_diffusion(ball.grid, ball.surface, test::grey_material({0.01, 1}), 1.5, {light}, {}, listener);
+    return listener.heard.find("stands") != std::string::npos;
+  };
+  const auto area = [](double x) { return AreaLight{Vec3(x, 0, 0), Vec3(-1, 0, 0), Vec3(0, 1, 0), 4, 4, Rgb::Ones()}; };
+  EXPECT_TRUE(heard(PointLight{Vec3(radius + 0.5 * ball.grid.spacing, 0, 0), Rgb::Ones()}));
+  EXPECT_TRUE(heard(area(radius + 0.5 * ball.grid.spacing)));
+  EXPECT_FALSE(heard(PointLight{Vec3(radius + 4 * ball.grid.spacing, 0, 0), Rgb::Ones()}));
+  EXPECT_FALSE(heard(area(radius + 4 * ball.grid.spacing)));
+}
+
 TEST(PolygridDiffusion, WarnsOfCoarseGridsAndDarkMaterials) {
   struct Listener : Progress {
     std::string heard;
