@@ -56,15 +56,6 @@ Vec3i read_size(const VdbArchive& archive) {
   return {static_cast<int>(size[0]), static_cast<int>(size[1]), static_cast<int>(size[2])};
 }
 
-void allocate(MaterialSample& sample) {
-  const std::size_t count = sample.voxel_count();
-  sample.extinction.assign(count, Vec3f::Zero());
-  sample.albedo.assign(count, Vec3f::Zero());
-  sample.anisotropy.assign(count, Vec3f::Zero());
-  sample.normal.assign(count, Vec3f::Zero());
-  sample.kind.assign(count, VoxelKind::interior);
-}
-
 template <class Visit>
 void for_each_index(const Vec3i& size, const Visit& visit) {
   std::size_t index = 0;
@@ -114,13 +105,10 @@ bool is_sample_archive(const VdbArchive& archive) {
 
 MaterialSample restore_sample(const VdbArchive& archive) {
   expect_kind(archive, "material sample", "sg-sample");
-  MaterialSample sample;
-  sample.size = read_size(archive);
-  sample.voxel = archive.number("voxel");
-  sample.ior = archive.number("ior");
-  if (!(sample.voxel > 0) || !(sample.ior >= 1))
-    throw InputError(archive.path + ": the metadata 'voxel' or 'ior' is out of range");
-  allocate(sample);
+  const Vec3i size = read_size(archive);
+  const double voxel = archive.number("voxel"), ior = archive.number("ior");
+  if (!(voxel > 0) || !(ior >= 1)) throw InputError(archive.path + ": the metadata 'voxel' or 'ior' is out of range");
+  MaterialSample sample = allocate_sample(size, voxel, ior);
   const auto &extinction = archive.get<Vec3f>("extinction"), &albedo = archive.get<Vec3f>("albedo");
   const auto &anisotropy = archive.get<Vec3f>("anisotropy"), &normal = archive.get<Vec3f>("normal");
   const auto& kind = archive.get<std::int32_t>("kind");
@@ -170,11 +158,7 @@ MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& opti
     throw InputError(fmt::format(
         "{}: the active voxels fill {} x {} x {}; a sample has 4 voxels at least in x and y and 2e8 at most in all",
         archive.path, extent.x(), extent.y(), extent.z()));
-  MaterialSample sample;
-  sample.size = extent.cast<int>();
-  sample.voxel = archive.frame.voxel;
-  sample.ior = options.ior;
-  allocate(sample);
+  MaterialSample sample = allocate_sample(extent.cast<int>(), archive.frame.voxel, options.ior);
   const auto albedo = reader("albedo"), anisotropy = reader("anisotropy");
   const bool has_kind = has_grid<std::int32_t>(archive, "kind"), has_normal = has_grid<Vec3f>(archive, "normal");
   for_each_index(sample.size, [&](std::size_t index, int x, int y, int z) {

@@ -62,15 +62,6 @@ double difference(const std::vector<double>& weight, const std::vector<Value>& a
   return worst;
 }
 
-double triad_speed() {
-  const std::size_t n = 16 << 20;
-  std::vector<float> a(n), b(n, 1.0f), c(n, 2.0f);
-  const Seconds s = least_time_of(5, [&] {
-    for (std::size_t i = 0; i < n; ++i) a[i] = b[i] + 1.5f * c[i];
-  });
-  return 12.0 * static_cast<double>(n) / s.processor;
-}
-
 // The object, what lights it, and its exitance as far as it is known.
 struct Scene {
   TriangleMesh surface;

@@ -44,15 +44,6 @@ DiffusionLight lit(const Polygrid& grid, const DiffusionSolver& solver, double d
   return light;
 }
 
-double triad_speed() {
-  const std::size_t n = 16 << 20;
-  std::vector<float> a(n), b(n, 1.0f), c(n, 2.0f);
-  const Seconds s = least_time_of(3, [&] {
-    for (std::size_t i = 0; i < n; ++i) a[i] = b[i] + 1.5f * c[i];
-  });
-  return 12.0 * static_cast<double>(n) / s.processor;
-}
-
 // Processor seconds of each step.
 struct Costs {
   double levels = 0, setup = 0, cold = 0, warm = 0;

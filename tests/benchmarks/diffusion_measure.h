@@ -53,6 +53,16 @@ Seconds least_time_of(int repetitions, const Work& work) {
   return least;
 }
 
+// Of one thread, bytes a second: a ← b + 1.5 c, twelve bytes an entry counted.
+inline double triad_speed() {
+  const std::size_t n = 16 << 20;
+  std::vector<float> a(n), b(n, 1.0f), c(n, 2.0f);
+  const Seconds s = least_time_of(5, [&] {
+    for (std::size_t i = 0; i < n; ++i) a[i] = b[i] + 1.5f * c[i];
+  });
+  return 12.0 * static_cast<double>(n) / s.processor;
+}
+
 // The most memory that the process has held since, above what it held then.
 class PeakMemory {
  public:
