@@ -32,6 +32,54 @@ void check_inputs(const TexturedMesh& mesh, const DistanceField& distance, const
     throw InternalError("one texture coordinate a vertex expected");
 }
 
+float wrap(float t, int n) {
+  const auto size = static_cast<float>(n);
+  t -= size * std::floor(t / size);
+  return t < size ? t : 0;
+}
+
+// What interpolated coordinates change against nearest ones.
+struct Difference {
+  double voxels = 0, changed = 0, incoherent = 0;
+  double extinction = 0, albedo = 0;                                       // squared differences
+  Eigen::Array<double, 6, 1> sum = Eigen::Array<double, 6, 1>::Zero();     // of σ_t' and α'
+  Eigen::Array<double, 6, 1> square = Eigen::Array<double, 6, 1>::Zero();  // and of their squares
+
+  static Rgb reduced_albedo(const Material& m) {
+    const Rgb extinction = m.reduced_extinction();
+    return (extinction > 0).select(m.reduced_scattering() / extinction, Rgb::Zero());
+  }
+  void add(const Material& own, const Material& paper, bool is_changed, bool is_coherent) {
+    ++voxels;
+    incoherent += !is_coherent;
+    Eigen::Array<double, 6, 1> f;
+    f << own.reduced_extinction().cast<double>(), reduced_albedo(own).cast<double>();
+    sum += f;
+    square += f.square();
+    if (!is_changed) return;
+    ++changed;
+    extinction += (own.reduced_extinction() - paper.reduced_extinction()).cast<double>().square().sum();
+    albedo += (reduced_albedo(own) - reduced_albedo(paper)).cast<double>().square().sum();
+  }
+  Difference operator+(const Difference& o) const {
+    Difference d = *this;
+    d.voxels += o.voxels, d.changed += o.changed, d.incoherent += o.incoherent;
+    d.extinction += o.extinction, d.albedo += o.albedo;
+    d.sum += o.sum, d.square += o.square;
+    return d;
+  }
+  void tell(ShellStatistics& s) const {
+    if (!(voxels > 0)) return;
+    const Eigen::Array<double, 6, 1> variance = (square / voxels - (sum / voxels).square()).max(0.0);
+    s.incoherent_share = incoherent / voxels;
+    s.changed_share = changed / voxels;
+    s.extinction_rms = std::sqrt(extinction / (3 * voxels));
+    s.albedo_rms = std::sqrt(albedo / (3 * voxels));
+    s.extinction_deviation = std::sqrt(variance.head<3>().mean());
+    s.albedo_deviation = std::sqrt(variance.tail<3>().mean());
+  }
+};
+
 }  // namespace
 
 std::size_t sample_voxel(const MaterialSample& sample, const Vec3f& texture_coordinate) {
@@ -45,7 +93,8 @@ std::size_t sample_voxel(const MaterialSample& sample, const Vec3f& texture_coor
 }
 
 ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distance, const MaterialSample& sample,
-                           const Material& core, double thickness, ShellStatistics* statistics, Progress& progress) {
+                           const Material& core, double thickness, ShellCoordinates coordinates,
+                           ShellStatistics* statistics, Progress& progress) {
   check_inputs(mesh, distance, sample, thickness);
   const TwoLevelGrid<float>& field = distance.distance;
   const float deepest = static_cast<float>(-thickness * (1 + 1e-6));
@@ -71,6 +120,7 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
   const TwoLevelGrid<Vec3f> empty(field.lower_leaf(), field.leaf_counts(), Vec3f::Zero());
   shell.texture_coordinate = shell.extinction = shell.albedo = shell.anisotropy = shell.normal = empty;
   shell.kind = TwoLevelGrid<std::int32_t>(field.lower_leaf(), field.leaf_counts(), 1);
+  shell.surface_ior = TwoLevelGrid<float>(field.lower_leaf(), field.leaf_counts(), 0.0f);
   TwoLevelGrid<Vec3f>* const colors[] = {&shell.texture_coordinate, &shell.extinction, &shell.albedo, &shell.anisotropy,
                                          &shell.normal};
   std::vector<int> source;  // the distance field's leaf of each shell leaf
@@ -80,38 +130,56 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
     for (TwoLevelGrid<Vec3f>* grid : colors)
       grid->leaf_mask(grid->allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
     shell.kind.leaf_mask(shell.kind.allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
+    if (!sample.surface_ior.empty())
+      shell.surface_ior.leaf_mask(shell.surface_ior.allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
   }
 
+  const bool interpolate = coordinates == ShellCoordinates::interpolated;
+  const SurfacePlaces places(mesh, sample.size.head<2>(), sample.voxel);
   progress.begin("shell", static_cast<long>(source.size()));
   std::vector<char> foreign(source.size(), 0);
+  std::vector<Difference> differences(source.size());
   parallel_for(
       source.size(),
       [&](std::size_t at) {
         const int leaf = static_cast<int>(at);
         const Vec3i coordinate = field.leaf_coordinate(source[at]);
         const int vertex_leaf = distance.nearest_vertex.find_leaf(coordinate);
+        const int point_leaf = distance.nearest_point.find_leaf(coordinate);
         for (int n = 0; n < 512; ++n) {
           if (!TwoLevelGrid<float>::mask_test(masks[source[at]], n)) continue;
-          const std::int32_t vertex = vertex_leaf < 0 ? -1 : distance.nearest_vertex.leaf_values(vertex_leaf)[n];
+          const std::int32_t vertex =
+              vertex_leaf < 0 || point_leaf < 0 ? -1 : distance.nearest_vertex.leaf_values(vertex_leaf)[n];
           if (vertex < 0 || vertex >= mesh.mesh.vertex_count()) {
             foreign[at] = 1;
             continue;
           }
           const float depth = static_cast<float>(-field.leaf_values(source[at])[n] / sample.voxel);
-          const Vec3f t(mesh.coordinate[vertex].x(), mesh.coordinate[vertex].y(), std::max(0.0f, depth));
-          const std::size_t voxel = sample_voxel(sample, t);
+          SurfacePlace place = places.nearest(vertex);
+          Vec3f t(place.coordinate.x(), place.coordinate.y(), std::max(0.0f, depth));
+          std::size_t voxel = sample_voxel(sample, t);
+          Difference& difference = differences[at];
+          if (interpolate) {
+            const std::size_t paper = voxel;
+            place =
+                places.interpolated(vertex, distance.nearest_point.leaf_values(point_leaf)[n].template cast<double>());
+            t.x() = wrap(place.coordinate.x(), sample.size.x());
+            t.y() = wrap(place.coordinate.y(), sample.size.y());
+            voxel = sample_voxel(sample, t);
+            difference.add(sample.material(voxel), sample.material(paper), voxel != paper, place.coherent);
+          }
           shell.texture_coordinate.leaf_values(leaf)[n] = t;
           shell.extinction.leaf_values(leaf)[n] = sample.extinction[voxel];
           shell.albedo.leaf_values(leaf)[n] = sample.albedo[voxel];
           shell.anisotropy.leaf_values(leaf)[n] = sample.anisotropy[voxel];
           shell.kind.leaf_values(leaf)[n] = static_cast<std::int32_t>(sample.kind[voxel]);
           if (sample.kind[voxel] == VoxelKind::surface) {
-            const Vec3 w = mesh.normals.row(vertex).transpose(), u = mesh.directions.row(vertex).transpose();
             const Vec3 local = sample.normal[voxel].cast<double>();
             // The sample's z runs inwards.
-            const Vec3 normal = local.x() * u + local.y() * w.cross(u) - local.z() * w;
+            const Vec3 normal = local.x() * place.u + local.y() * place.v - local.z() * place.normal;
             shell.normal.leaf_values(leaf)[n] = normal.normalized().cast<float>();
           }
+          if (!sample.surface_ior.empty()) shell.surface_ior.leaf_values(leaf)[n] = sample.surface_ior[voxel];
         }
         progress.advance();
       },
@@ -127,7 +195,10 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
     s.voxels = static_cast<long>(shell.extinction.active_count());
     shell.kind.for_each_active([&](int, int, int, std::int32_t kind) { s.free_voxels += kind == 0; });
     for (const TwoLevelGrid<Vec3f>* grid : colors) s.bytes += grid->bytes();
-    s.bytes += shell.kind.bytes();
+    s.bytes += shell.kind.bytes() + shell.surface_ior.bytes();
+    Difference sum;
+    for (const Difference& difference : differences) sum = sum + difference;
+    sum.tell(s);
     const double band = static_cast<double>(field.active_count());
     s.skipped_share = band > 0 ? 1 - static_cast<double>(s.voxels) / band : 0;
     *statistics = s;

@@ -415,6 +415,8 @@ ShellVolume read_shell_volume(const std::string& path) {
   shell.anisotropy = archive.get<Vec3f>("anisotropy");
   shell.normal = archive.get<Vec3f>("normal");
   shell.kind = archive.get<std::int32_t>("kind");
+  for (const VdbArchive::Entry& entry : archive.grids)
+    if (entry.name == "surface_ior") shell.surface_ior = archive.get<float>("surface_ior");
   shell.core.extinction = colour_of(archive, "core_extinction");
   shell.core.albedo = colour_of(archive, "core_albedo");
   shell.core.anisotropy = colour_of(archive, "core_anisotropy");
@@ -437,6 +439,7 @@ void write_shell_volume(const std::string& path, const ShellVolume& shell) {
                    {"anisotropy", shell.anisotropy},
                    {"normal", shell.normal},
                    {"kind", shell.kind}};
+  if (shell.surface_ior.leaf_count() > 0) archive.grids.push_back({"surface_ior", shell.surface_ior});
   archive.metadata["kind"] = "shell volume";
   archive.metadata["core"] = shell.core_interpolated ? "interpolated" : "homogeneous";
   archive.set_numbers("core_extinction", components(shell.core.extinction));

@@ -6,6 +6,9 @@
 
 namespace shellgrid {
 
+// `kind` of a voxel below the shell, where the core is made of voxels too.
+constexpr std::int32_t core_voxel_kind = 3;
+
 // The object's material: shell voxels over a core. All grids share one frame and one set of active
 // samples. Where a point lies inside the object and its sample is inactive, the core applies.
 // Source: [STF §6, fig. 5].
@@ -16,11 +19,14 @@ struct ShellVolume {
   TwoLevelGrid<Vec3f> albedo;              // RGB
   TwoLevelGrid<Vec3f> anisotropy;          // RGB
   TwoLevelGrid<Vec3f> normal;              // of the mesostructure surface where `kind` is 2, else zero
-  TwoLevelGrid<std::int32_t> kind;  // VoxelKind of synthesis/material_sample.h: 0 free space, 1 interior, 2 surface
-  Material core;                    // the homogeneous core
-  bool core_interpolated = false;   // the core continues the bottom layer instead; `core` is then its mean
-  double thickness = 0;             // of the shell, mm
-  double ior = 1;                   // refractive index inside over outside
+  TwoLevelGrid<std::int32_t> kind;  // VoxelKind of synthesis/material_sample.h: 0 free space, 1 interior, 2 surface;
+                                    // or core_voxel_kind
+  // Relative refractive index of each mesostructure surface voxel; without leaves where all of them have `ior`.
+  TwoLevelGrid<float> surface_ior;
+  Material core;                   // the homogeneous core
+  bool core_interpolated = false;  // the core continues the bottom layer instead; `core` is then its mean
+  double thickness = 0;            // of the shell, mm
+  double ior = 1;                  // refractive index inside over outside
 };
 
 }  // namespace shellgrid

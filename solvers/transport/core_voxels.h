@@ -7,9 +7,6 @@
 
 namespace shellgrid {
 
-// `kind` of the voxels below the shell, beside VoxelKind's.
-constexpr std::int32_t core_voxel_kind = 3;
-
 // The shell with voxels of its own for everything below it. σ_a, σ_s and σ_s g (so that σ_s' is what the diffusion
 // solver's core has, up to the grids) are continued harmonically from the shell's deepest voxels, those within one
 // voxel of its bottom, free space left out: on blocks of 2³ voxels, of which those that hold deepest voxels have their

@@ -273,6 +273,43 @@ class Chain(unittest.TestCase):
                              out + ".shell.vdb", "--thickness", 2, "--core-absorption", "0.1,0.1,0.1"), 2,
                          "--core-scattering")
 
+    def test_coordinates_may_be_the_nearest_vertices(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "shell.vdb")
+            done = run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o", out,
+                       "--thickness", 2, "--coordinates", "nearest")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertEqual(record(out)["results"]["coordinates"], {"kind": "nearest"})
+            own = record(self.at("shell.vdb"))["results"]
+            self.assertEqual(own["voxels"], record(out)["results"]["voxels"])
+            figures = own["coordinates"]
+            self.assertEqual(figures["kind"], "interpolated")
+            # Two of three voxels lie more than half a texel from the nearest vertex in some direction.
+            self.assertGreater(figures["changed_share"], 0.3)
+            self.assertLess(figures["changed_share"], 0.9)
+            self.assertLess(figures["incoherent_share"], 0.5)
+            self.assertGreater(figures["reduced_extinction_rms"], 0)
+            # The means of coefficients agree.
+            compared = run("compare", out, self.at("shell.vdb"))
+            self.assertEqual(compared.returncode, 0, compared.stderr)
+
+    def test_indices_of_a_samples_own_reach_the_shell(self):
+        with workplace() as folder:
+            at = lambda name: os.path.join(folder, name)
+            write_off(at("ball.off"), icosphere(2, 2.0))
+            write_json(at("sample.json"), {
+                "type": "meshes", "size": [32, 32], "voxel": 0.5, "thickness": 4, "ior": 1.3, "parts": [
+                    {"ground": 0, "material": BODY},
+                    {"mesh": "ball.off", "material": VEIN, "priority": 1, "ior": 1.45, "position": [8, 8, 0]}]})
+            self.assertEqual(run("sample", at("sample.json"), "-o", at("sample.vdb")).returncode, 0)
+            self.assertEqual(run("textons", at("sample.vdb"), "-o", at("textons.vdb"), "--textons", 30).returncode, 0)
+            self.assertEqual(run("synthesize", self.at("surface.ply"), at("textons.vdb"), "-o", at("s.ply")).returncode, 0)
+            done = run("shell", at("s.ply"), self.at("distance.vdb"), at("sample.vdb"), "-o", at("shell.vdb"), "--thickness",
+                       3)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("indices of its own", record(at("shell.vdb"))["warnings"][0])
+            self.assertIn("surface_ior", run("describe", at("shell.vdb")).stdout)
+
     def test_the_core_may_be_given(self):
         with workplace() as folder:
             out = os.path.join(folder, "shell.vdb")

@@ -53,8 +53,9 @@ struct Scene {
           distance.nearest_point.set(i, j, k, (radius * p.normalized()).cast<float>());
         }
   }
-  ShellVolume shell(ShellStatistics* statistics = nullptr) const {
-    return resample_shell(mesh, distance, sample, bottom_layer_mean(sample), thickness, statistics);
+  ShellVolume shell(ShellStatistics* statistics = nullptr,
+                    ShellCoordinates coordinates = ShellCoordinates::nearest) const {
+    return resample_shell(mesh, distance, sample, bottom_layer_mean(sample), thickness, coordinates, statistics);
   }
 };
 
