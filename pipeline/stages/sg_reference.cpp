@@ -5,6 +5,7 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/image_file.h"
@@ -20,6 +21,7 @@
 #include "solvers/render/tone_map.h"
 #include "solvers/transport/camera_paths.h"
 #include "solvers/transport/light_tracing.h"
+#include "solvers/transport/roulette.h"
 #include "solvers/transport/tally_shapes.h"
 
 using namespace shellgrid;
@@ -28,12 +30,39 @@ namespace {
 
 using json = nlohmann::ordered_json;
 
-json estimate_json(const Estimate& e) { return {{"value", e.value}, {"standard_error", e.standard_error}}; }
+// What `paths` paths let be said of an estimate. One path says nothing of its error. Where something may be and no path
+// has found it, the error is unknown, too: at most so much is there, with 95 % confidence.
+struct Finding {
+  Estimate estimate;
+  double paths;
+  bool may_be = true;
 
-json estimates_json(const std::vector<Estimate>& estimates) {
+  bool found_nothing() const { return may_be && estimate.value == 0; }
+  bool is_known() const { return paths > 1 && !found_nothing(); }
+  double upper_bound() const { return 1 - std::pow(0.05, 1 / paths); }
+  json as_json(bool bounded = true) const {
+    json j = {{"value", estimate.value}, {"standard_error", nullptr}};
+    if (is_known()) j["standard_error"] = estimate.standard_error;
+    if (bounded && found_nothing()) j["upper_bound"] = upper_bound();
+    return j;
+  }
+  std::string in_words() const {
+    if (found_nothing()) return fmt::format("none found, below {:.2g}", upper_bound());
+    if (!is_known()) return fmt::format("{:.5f} ± unknown", estimate.value);
+    return fmt::format("{:.5f} ± {:.5f}", estimate.value, estimate.standard_error);
+  }
+};
+
+json profile_json(const std::vector<Estimate>& estimates, double paths, bool may_be) {
   json list = json::array();
-  for (const Estimate& e : estimates) list.push_back(estimate_json(e));
+  for (const Estimate& e : estimates) list.push_back(Finding{e, paths, may_be}.as_json(false));
   return list;
+}
+
+// A relative standard error.
+nlohmann::json error_json(const std::optional<double>& error) { return error ? nlohmann::json(*error) : nullptr; }
+std::string error_in_words(const std::optional<double>& error) {
+  return error ? fmt::format("± {:.2g} %", 100 * *error) : "± unknown";
 }
 
 struct TallyOptions {
@@ -100,19 +129,37 @@ struct TallyOptions {
   }
 };
 
-json tally_json(const TallyResult& r) {
-  json result = {{"diffuse_reflectance", estimate_json(r.diffuse_reflectance)},
-                 {"specular_reflectance", estimate_json(r.specular_reflectance)},
-                 {"transmittance", estimate_json(r.transmittance)},
-                 {"unscattered", estimate_json(r.unscattered)},
-                 {"absorbed", estimates_json(r.absorbed)},
-                 {"lost", estimate_json(r.lost)}};
+json tally_json(const TallyResult& r, const TallyProblem& problem, double paths) {
+  const bool from_inside = problem.source == TallySource::centre;
+  const bool passes = from_inside || problem.shape == TallyShape::slab;
+  // From a slab or half-space that does not scatter nothing comes back.
+  const bool returns = problem.shape == TallyShape::sphere || problem.layers[0].scattering > 0;
+  const auto finding = [&](const Estimate& e, bool may_be) { return Finding{e, paths, may_be}.as_json(); };
+  json absorbed = json::array();
+  for (std::size_t k = 0; k < r.absorbed.size(); ++k)
+    absorbed.push_back(finding(r.absorbed[k], problem.layers[k].absorption > 0));
+  json result = {{"diffuse_reflectance", finding(r.diffuse_reflectance, !from_inside && returns)},
+                 {"specular_reflectance", finding(r.specular_reflectance, false)},
+                 {"transmittance", finding(r.transmittance, passes)},
+                 {"unscattered", finding(r.unscattered, passes)},
+                 {"absorbed", std::move(absorbed)},
+                 {"lost", finding(r.lost, false)}};
   json profile = {{"radius", r.radius}};
-  if (!r.reflectance_profile.empty()) profile["reflectance"] = estimates_json(r.reflectance_profile);
-  if (!r.transmittance_profile.empty()) profile["transmittance"] = estimates_json(r.transmittance_profile);
-  if (!r.fluence_profile.empty()) profile["fluence"] = estimates_json(r.fluence_profile);
+  if (!r.reflectance_profile.empty()) profile["reflectance"] = profile_json(r.reflectance_profile, paths, true);
+  if (!r.transmittance_profile.empty()) profile["transmittance"] = profile_json(r.transmittance_profile, paths, true);
+  if (!r.fluence_profile.empty()) profile["fluence"] = profile_json(r.fluence_profile, paths, true);
   result["radial_profile"] = std::move(profile);
   return result;
+}
+
+// Where many paths ended by chance for their length alone, the few that went on carry much, and rarely.
+void warn_of_heavy_paths(const PathKind& kind, const PathState& state, Progress& progress) {
+  const double ended = static_cast<double>(state.count(PathEvent::limit_roulette)) / static_cast<double>(state.paths);
+  if (ended > kind.relative_error(state).value_or(0))
+    progress.warn(
+        fmt::format("{:.2g} % of the paths ended by chance beyond {} collisions: few heavy ones stand for "
+                    "them, and the standard error may be too small",
+                    100 * ended, event_limit));
 }
 
 // What paths are followed and when it ends; and the state in a file, to go on from.
@@ -145,6 +192,7 @@ struct Campaign {
     results["paths_of_earlier_runs"] = first;
     results["ended_by"] = path_end_name(end);
     for (int k = 0; k < path_event_count; ++k) results["events"][path_event_names()[k]] = state.events[k];
+    warn_of_heavy_paths(kind, state, run.progress());
     return state;
   }
 };
@@ -154,7 +202,7 @@ void tally(const TallyOptions& options, const Campaign& campaign, StageRun& run)
   const TallyTransport transport(problem);
   run.start_timer("follow");
   std::string fingerprint =
-      fmt::format("tally {} {} {} {} {} {} {} {}", options.shape, static_cast<int>(problem.source), problem.thickness,
+      fmt::format("tally 2 {} {} {} {} {} {} {} {}", options.shape, static_cast<int>(problem.source), problem.thickness,
                   problem.ior, problem.bins, problem.extent, problem.seed, SHELLGRID_VERSION);
   for (const TallyLayer& l : problem.layers)
     fingerprint += fmt::format(" {} {} {} {}", l.absorption, l.scattering, l.anisotropy, l.radius);
@@ -162,20 +210,24 @@ void tally(const TallyOptions& options, const Campaign& campaign, StageRun& run)
   run.start_timer("write");
   const TallyResult result = transport.result(state);
   json content = {{"tally", options.shape}, {"paths", state.paths}};
-  content.update(tally_json(result));
+  const auto paths = static_cast<double>(state.paths);
+  content.update(tally_json(result, problem, paths));
   write_text_atomically(run.output(), content.dump(1) + "\n");
-  run.print(fmt::format("{}: diffuse reflectance {:.5f} ± {:.5f}, transmittance {:.5f} ± {:.5f}, {} paths",
-                        run.output(), result.diffuse_reflectance.value, result.diffuse_reflectance.standard_error,
-                        result.transmittance.value, result.transmittance.standard_error, state.paths));
+  const bool from_inside = problem.source == TallySource::centre;
+  std::string found;
+  if (!from_inside) found += "diffuse reflectance " + Finding{result.diffuse_reflectance, paths}.in_words() + ", ";
+  if (from_inside || problem.shape == TallyShape::slab)
+    found += "transmittance " + Finding{result.transmittance, paths}.in_words() + ", ";
+  run.print(fmt::format("{}: {}{} paths", run.output(), found, state.paths));
 }
 
 // Of each power its three channels, and their standard errors beside them.
-nlohmann::json energy_json(const LightTracingResult& r) {
+nlohmann::json energy_json(const LightTracingResult& r, std::uint64_t paths) {
   nlohmann::json energy, errors;
   const auto put = [&](const char* name, const PowerEstimate& power) {
     for (const Estimate& e : power.channel) {
       energy[name].push_back(e.value);
-      errors[name].push_back(e.standard_error);
+      errors[name].push_back(paths > 1 ? nlohmann::json(e.standard_error) : nullptr);
     }
   };
   put("incoming", r.incoming);
@@ -203,7 +255,7 @@ struct SceneInputs {
 
   // Of all that the paths depend on.
   std::string fingerprint(const Scene& read, const std::string& mode, std::uint64_t seed) const {
-    std::string text = mode + " " + hash_file(scene) + " " + hash_file(surface) + " " +
+    std::string text = mode + " 2 " + hash_file(scene) + " " + hash_file(surface) + " " +
                        (shell.empty() ? "-" : hash_file(shell)) + fmt::format(" {} {}", seed, SHELLGRID_VERSION);
     for (const Light& light : read.lights)
       if (const auto* environment = std::get_if<EnvironmentLight>(&light); environment && environment->image) {
@@ -267,11 +319,11 @@ void trace_light(const SceneInputs& inputs, const LightTracingOptions& how, Camp
   add_colour_property(written, "exitance_error", result.exitance_error);
   add_colour_property(written, "irradiance_error", result.irradiance_error);
   write_ply(run.output(), written);
-  run.results()["energy"] = energy_json(result);
-  run.results()["relative_standard_error"] = result.relative_error;
-  run.print(fmt::format("{}: {} paths, exitance ± {:.2g} %, entering {:.6g} W, leaving {:.6g} W", run.output(),
-                        state.paths, 100 * result.relative_error, result.entering.channel[1].value,
-                        result.leaving.channel[1].value));
+  run.results()["energy"] = energy_json(result, state.paths);
+  const std::optional<double> error = result.relative_error;
+  run.results()["relative_standard_error"] = error_json(error);
+  run.print(fmt::format("{}: {} paths, exitance {}, entering {:.6g} W, leaving {:.6g} W", run.output(), state.paths,
+                        error_in_words(error), result.entering.channel[1].value, result.leaving.channel[1].value));
 }
 
 void take_picture(const SceneInputs& inputs, Campaign campaign, bool limited, StageRun& run) {
@@ -298,10 +350,11 @@ void take_picture(const SceneInputs& inputs, Campaign campaign, bool limited, St
   run.note_output(png);
   write_exr(run.output(), picture);
   run.results()["exposure_stops"] = stops;
-  run.results()["relative_standard_error"] = paths.relative_error(state);
-  run.print(fmt::format("{}: {} paths, {:.3g} a pixel, radiance ± {:.2g} %", run.output(), state.paths,
+  const std::optional<double> error = paths.relative_error(state);
+  run.results()["relative_standard_error"] = error_json(error);
+  run.print(fmt::format("{}: {} paths, {:.3g} a pixel, radiance {}", run.output(), state.paths,
                         static_cast<double>(state.paths) / static_cast<double>(paths.pixel_count()),
-                        100 * paths.relative_error(state)));
+                        error_in_words(error)));
 }
 
 }  // namespace
@@ -324,8 +377,10 @@ int main(int argc, char** argv) {
                  "it; .json: with --tally "
                  "what was measured",
                  false, {".exr", ".json"});
-  program.option("--paths", campaign.limits.paths, "",
-                 "light paths, in all; without any limit 1e6, of a picture method.samples_per_pixel for each", 0, 1e18);
+  program.option(
+      "--paths", campaign.limits.paths, "",
+      "light paths, in all; 0: no such limit. Without any limit 1e6, of a picture method.samples_per_pixel for each", 0,
+      1e18);
   program.option("--time", campaign.limits.seconds, "s", "stop after this long; 0: do not", 0, 1e9);
   program.option("--target-error", campaign.limits.target_error, "",
                  "stop at this relative standard error of the result; 0: do not", 0, 1);
@@ -356,6 +411,8 @@ int main(int argc, char** argv) {
     if (!tallies && inputs.surface.empty())
       throw UsageError(inputs.scene.empty() ? "missing scene.json surface.ply, or --tally" : "missing surface.ply");
     PathLimits& limits = campaign.limits;
+    if (limits.paths > 0 && limits.paths < 1)
+      throw UsageError("--paths: expected at least one path, or 0 for no limit");
     const bool limited = limits.paths > 0 || limits.seconds > 0 || limits.target_error > 0;
     if (!limited) limits.paths = 1e6;
     tracing.interreflection = !once;

@@ -5,10 +5,12 @@
 
 #include "solvers/transport/clearance_grid.h"
 #include "solvers/transport/dielectric.h"
+#include "solvers/transport/diffuse_leap.h"
 #include "solvers/transport/light_path.h"
 #include "solvers/transport/path_tally.h"
 #include "solvers/transport/phase.h"
 #include "solvers/transport/spectral_weight.h"
+#include "solvers/transport/surface_distance.h"
 #include "solvers/transport/transport_surface.h"
 
 namespace shellgrid {
@@ -18,6 +20,7 @@ struct TransportBody {
   const TransportSurface& surface;
   const ClearanceGrid& clearance;
   double ior = 1;
+  const SurfaceDistance* distance = nullptr;  // exactly, where a lower bound does not do
 };
 
 // Gets a path that comes from outside, before it meets anything, and follows it to its end. What happens is told to the
@@ -110,21 +113,50 @@ class BodyWalk {
       const Double4 kept = path.weight * place.albedo;
       visitor_.absorbed(path.weight - kept, place.region);
       path.weight = kept;
-      const double sum = lane_sum(kept);
-      if (sum < faint) {
-        double revived_sum = sum;
-        const bool survives = survives_faintness(revived_sum, path.random);
-        const Double4 after = survives ? kept * (revived_sum / sum) : Double4{};
-        visitor_.chance(after - kept);
-        if (!survives) {
-          tally_.note(PathEvent::roulette);
-          return false;
-        }
-        path.weight = after;
-      }
+      if (!survives_faint(path)) return false;
     }
+    const Vec3 before = path.direction;
     scatter(path, place);
+    if (path.events >= leaps_begin && medium_.leaps().possible && !leap(path, before, place.region)) return false;
     return outlives_limit(path);
+  }
+
+  // Takes many collisions at once where all about is homogeneous. False where the path ends.
+  bool leap(LightPath& path, const Vec3& before, int region) {
+    const ChannelLeaps& leaps = medium_.leaps();
+    const double reach = medium_.reach(path.point);
+    if (!(leaps.radius(reach, path.weight) > 0)) return true;
+    double radius = leaps.radius(std::min(reach, body_.clearance.at(path.point)), path.weight);
+    // The exact distance is dear.
+    if (radius == 0 && body_.distance && path.events % exact_interval == 0 &&
+        leaps.radius(body_.surface.radius(), path.weight) > 0)
+      radius = leaps.radius(std::min(reach, body_.distance->at(path.point)), path.weight);
+    if (radius == 0 || !scattered_evenly(leaps.anisotropy, before.dot(path.direction), path.random)) return true;
+    tally_.note(PathEvent::leaps);
+    const Double4 taken = path.weight * leaps.loss(radius);
+    visitor_.absorbed(taken, region);
+    path.weight -= taken;
+    if (!survives_faint(path)) return false;
+    path.point += radius * even_direction(path.random);
+    path.direction = even_direction(path.random);
+    return true;
+  }
+
+  // False where the path ends.
+  bool survives_faint(LightPath& path) {
+    const Double4 kept = path.weight;
+    const double sum = lane_sum(kept);
+    if (sum >= faint) return true;
+    double revived_sum = sum;
+    const bool survives = survives_faintness(revived_sum, path.random);
+    const Double4 after = survives ? kept * (revived_sum / sum) : Double4{};
+    visitor_.chance(after - kept);
+    if (!survives) {
+      tally_.note(PathEvent::roulette);
+      return false;
+    }
+    path.weight = after;
+    return true;
   }
 
   static void scatter(LightPath& path, const ScatteringPlace& place) {
@@ -215,6 +247,7 @@ class BodyWalk {
   Visitor& visitor_;
   ChunkTally& tally_;
   static constexpr int most_on_the_spot = 8;
+  static constexpr std::uint64_t exact_interval = 64;
   Crossing crossing_, entrance_;
   int crossings_on_the_spot_ = 0;
 };

@@ -114,9 +114,9 @@ double CameraPaths::samples_of(std::size_t pixel, const PathState& state) const 
   return static_cast<double>(state.paths / pixels_ + (pixel < state.paths % pixels_ ? 1 : 0));
 }
 
-double CameraPaths::relative_error(const PathState& state) const {
-  double worst = 0;
-  for (std::size_t c = 0; c < 3; ++c) {
+std::optional<double> CameraPaths::relative_error(const PathState& state) const {
+  std::optional<double> worst;
+  for (std::size_t c = 0; c < 3 && state.paths > 1; ++c) {
     double errors = 0, squares = 0;
     for (std::size_t pixel = 0; pixel < pixels_; ++pixel) {
       const std::size_t at = 3 * pixel + c;
@@ -124,7 +124,7 @@ double CameraPaths::relative_error(const PathState& state) const {
       errors += e.standard_error * e.standard_error;
       squares += e.value * e.value;
     }
-    if (squares > 0) worst = std::max(worst, std::sqrt(errors / squares));
+    if (squares > 0) worst = std::max(worst.value_or(0), std::sqrt(errors / squares));
   }
   return worst;
 }

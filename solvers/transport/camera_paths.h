@@ -30,8 +30,8 @@ class CameraPaths {
   // Layers R G B (radiance, W mm⁻² sr⁻¹), A (share of samples that meet the object), exitance.R/G/B (of that what has
   // been in matter), error.R/G/B (standard error of R G B). Pixels without samples are 0.
   Image picture(const PathState& state) const;
-  // √(∑ se² / ∑ L²) over the pixels, of the worst channel.
-  double relative_error(const PathState& state) const;
+  // √(∑ se² / ∑ L²) over the pixels, of the worst channel; none where no light was seen.
+  std::optional<double> relative_error(const PathState& state) const;
   std::size_t pixel_count() const { return pixels_; }
 
  private:

@@ -5,6 +5,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/material.h"
+#include "solvers/transport/diffuse_leap.h"
 #include "solvers/transport/light_path.h"
 #include "solvers/transport/spectral_weight.h"
 
@@ -38,6 +39,7 @@ class HomogeneousMedium {
     extinction_ = to_double(to_lanes(material.extinction));
     place_ = scattering_place(material.albedo, material.anisotropy, 0);
     grey_ = (material.extinction == material.extinction[0]).all();
+    leaps_ = channel_leaps(extinction_, place_.albedo, place_.anisotropy);
   }
 
   // Flies on to the next collision and returns true, or to the next crossing of a surface, whose distance is
@@ -65,9 +67,14 @@ class HomogeneousMedium {
   // Of the collision that the last flight ended in.
   const ScatteringPlace& place(const LightPath&) const { return place_; }
 
+  // How its homogeneous part is leapt through, and how far from a point that part surely reaches, mm.
+  const ChannelLeaps& leaps() const { return leaps_; }
+  double reach(const Vec3&) const { return std::numeric_limits<double>::infinity(); }
+
  private:
   Double4 extinction_ = {};
   ScatteringPlace place_;
+  ChannelLeaps leaps_;
   bool grey_ = true;
 };
 

@@ -125,9 +125,9 @@ PathKind LightTracing::kind() const {
   return kind;
 }
 
-double LightTracing::relative_error(const PathState& state) const {
-  double worst = 0;
-  for (int c = 0; c < 3; ++c) {
+std::optional<double> LightTracing::relative_error(const PathState& state) const {
+  std::optional<double> worst;
+  for (int c = 0; c < 3 && state.paths > 1; ++c) {
     double errors = 0, squares = 0;
     for (std::size_t v = 0; v < area_.size(); ++v) {
       if (!(area_[v] > 0)) continue;
@@ -136,7 +136,7 @@ double LightTracing::relative_error(const PathState& state) const {
       errors += area_[v] * e.standard_error * e.standard_error;
       squares += area_[v] * e.value * e.value;
     }
-    if (squares > 0) worst = std::max(worst, std::sqrt(errors / squares));
+    if (squares > 0) worst = std::max(worst.value_or(0), std::sqrt(errors / squares));
   }
   return worst;
 }

@@ -2,6 +2,7 @@
 // Exitance by light tracing: exact transport from any light to the vertices of an object's surface.
 #pragma once
 #include <array>
+#include <optional>
 #include <vector>
 
 #include "solvers/render/lights.h"
@@ -26,7 +27,8 @@ struct LightTracingResult {
   // path the sum over channels is 0, of each channel the mean. incoming = entering + mirrored; entering + roulette +
   // exchange = leaving + absorbed + lost: to rounding.
   PowerEstimate incoming, entering, leaving, mirrored, absorbed_core, absorbed_shell, lost, roulette, exchange;
-  double relative_error = 0;  // √(∫ se² / ∫ M²) of the exitance, of the worst channel
+  // √(∫ se² / ∫ M²) of the exitance, of the worst channel; none where no light left, or of a single path.
+  std::optional<double> relative_error;
 };
 
 struct LightTracingOptions {
@@ -46,7 +48,7 @@ class LightTracing {
   LightTracingResult result(const PathState& state) const;
 
  private:
-  double relative_error(const PathState& state) const;
+  std::optional<double> relative_error(const PathState& state) const;
 
   const TransportObject& object_;
   LightTracingOptions options_;

@@ -24,6 +24,21 @@ std::uint64_t next_judgement(std::uint64_t rounds) {
   return at;
 }
 
+// Whether a run for this error would have ended at this state or before: it is judged where that run would have judged
+// it, or is by so much below the target that it was so then.
+bool has_met(const PathKind& kind, double target, const PathState& state) {
+  const std::uint64_t rounds = state.paths / round_paths;
+  if (rounds == 0) return false;
+  const std::optional<double> error = kind.relative_error(state);
+  if (!error) return false;
+  std::uint64_t judged = 1;
+  while (next_judgement(judged) <= rounds) judged = next_judgement(judged);
+  if (judged * round_paths == state.paths) return *error <= target;
+  constexpr double safety = 1.1;
+  return safety * *error * std::sqrt(static_cast<double>(state.paths) / static_cast<double>(judged * round_paths)) <=
+         target;
+}
+
 }  // namespace
 
 const char* path_end_name(PathEnd end) {
@@ -66,17 +81,21 @@ PathEnd follow_paths(const PathKind& kind, const PathLimits& limits, PathState& 
   const std::uint64_t first = state.paths;
   long shown = 0;
   double last_checkpoint = 0;
-  double error = 0;
+  std::optional<double> error;
   const auto show = [&] {
     double share = 0;
     if (limits.paths > 0 && most > first)
       share = static_cast<double>(state.paths - first) / static_cast<double>(most - first);
     if (limits.seconds > 0) share = std::max(share, elapsed() / limits.seconds);
-    if (limits.target_error > 0 && error > 0) share = std::max(share, std::pow(limits.target_error / error, 2));
+    if (limits.target_error > 0 && error > 0.0) share = std::max(share, std::pow(limits.target_error / *error, 2));
     const long now = std::min(progress_steps, static_cast<long>(share * progress_steps));
     if (now > shown) progress.advance(now - shown), shown = now;
   };
 
+  if (limits.target_error > 0 && has_met(kind, limits.target_error, state)) {
+    progress.end();
+    return PathEnd::target_error;
+  }
   PathEnd end = PathEnd::paths;
   while (state.paths < most) {
     if (must_stop()) {
@@ -109,9 +128,9 @@ PathEnd follow_paths(const PathKind& kind, const PathLimits& limits, PathState& 
       const std::uint64_t rounds = state.paths / round_paths;
       if (next_judgement(rounds - 1) == rounds) {
         error = kind.relative_error(state);
-        const bool dark = error == 0 && state.paths >= dark_paths;
+        const bool dark = !error && state.paths >= dark_paths;
         if (dark) progress.warn("no light has come back after " + std::to_string(state.paths) + " paths");
-        if (dark || (error > 0 && error <= limits.target_error)) {
+        if (dark || (error && *error <= limits.target_error)) {
           end = PathEnd::target_error;
           break;
         }

@@ -7,8 +7,8 @@ namespace shellgrid {
 
 const std::array<std::string, path_event_count>& path_event_names() {
   static const std::array<std::string, path_event_count> names = {
-      "object_met",        "collisions", "null_collisions", "voxels", "rays",   "rays_skipped",
-      "boundary_meetings", "roulette",   "limit_roulette",  "lost",   "cut_off"};
+      "object_met",   "collisions",        "leaps",    "null_collisions", "voxels", "rays",
+      "rays_skipped", "boundary_meetings", "roulette", "limit_roulette",  "lost",   "cut_off"};
   return names;
 }
 

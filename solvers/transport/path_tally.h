@@ -15,6 +15,7 @@ namespace shellgrid {
 enum class PathEvent : int {
   object_met,         // paths that met the object
   collisions,         // scatterings and absorptions
+  leaps,              // many collisions at once, deep in homogeneous matter
   null_collisions,    // of delta tracking
   voxels,             // stepped through
   rays,               // shot at the surface

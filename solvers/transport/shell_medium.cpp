@@ -190,6 +190,8 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
                          std::vector<Vec3i>* free_voxels, const LeafMethod* method)
     : voxel_(shell.frame.voxel), per_voxel_(1 / shell.frame.voxel) {
   check_transport_material(shell.core);
+  leaps_ = channel_leaps(to_double(to_lanes(shell.core.extinction)), to_double(to_lanes(shell.core.albedo)),
+                         to_double(to_lanes(shell.core.anisotropy)));
   const Sources sources(shell, inside);
   if (free_voxels) *free_voxels = sources.free_voxels();
   const TwoLevelGrid<std::int32_t>& grid = sources.grid();

@@ -10,6 +10,7 @@
 
 #include "meshing/shell/shell_volume.h"
 #include "solvers/transport/clearance_grid.h"
+#include "solvers/transport/diffuse_leap.h"
 #include "solvers/transport/light_path.h"
 #include "solvers/transport/path_tally.h"
 #include "solvers/transport/spectral_weight.h"
@@ -44,6 +45,10 @@ class ShellMedium {
   // As HomogeneousMedium::fly.
   template <class Ahead, class Tally>
   bool fly(LightPath& path, double clearance, const Ahead& ahead, Tally& tally) const;
+
+  // As HomogeneousMedium's: of the core.
+  const ChannelLeaps& leaps() const { return leaps_; }
+  double reach(const Vec3& point) const { return core_clearance_.at(point); }
 
   ScatteringPlace place(const LightPath& path) const {
     ScatteringPlace place;
@@ -113,6 +118,7 @@ class ShellMedium {
   double majorant_ = 0;                // of all, mm⁻¹
   bool thin_ = false;                  // all by delta tracking below it
   ClearanceGrid core_clearance_;       // from leaves
+  ChannelLeaps leaps_;
   LeafMethodCounts methods_;
 };
 

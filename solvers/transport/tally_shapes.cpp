@@ -71,7 +71,10 @@ TallyTransport::TallyTransport(const TallyProblem& problem) : problem_(problem) 
   for (const TallyLayer& layer : problem.layers) {
     const double extinction = layer.absorption + layer.scattering;
     media_.push_back({extinction, extinction > 0 ? layer.scattering / extinction : 1, layer.anisotropy, 1 / extinction,
-                      layer.radius, inner});
+                      layer.radius, inner,
+                      problem.leaps && extinction > 0
+                          ? DiffuseLeap(extinction, layer.scattering / extinction, layer.anisotropy)
+                          : DiffuseLeap()});
     inner = layer.radius;
   }
   bins_ = static_cast<std::size_t>(problem.bins);
@@ -88,10 +91,10 @@ PathKind TallyTransport::kind() const {
     problem_.shape == TallyShape::sphere ? follow_sphere(walk) : follow_slab(walk);
   };
   kind.relative_error = [](const PathState& state) {
-    double worst = 0;
+    std::optional<double> worst;
     for (const Slot slot : {reflected, transmitted}) {
       const Estimate e = state.scalar(slot);
-      if (e.value > 0) worst = std::max(worst, e.standard_error / e.value);
+      if (e.value > 0 && state.paths > 1) worst = std::max(worst.value_or(0), e.standard_error / e.value);
     }
     return worst;
   };
@@ -99,7 +102,7 @@ PathKind TallyTransport::kind() const {
 }
 
 // Absorbs, or scatters. False where the path ends.
-bool TallyTransport::interact(Walk& walk, std::size_t layer) const {
+bool TallyTransport::interact(Walk& walk, std::size_t layer, double clearance) const {
   const Medium& medium = media_[layer];
   walk.scattered_once = true;
   walk.tally.note(PathEvent::collisions);
@@ -111,8 +114,39 @@ bool TallyTransport::interact(Walk& walk, std::size_t layer) const {
       return false;
     }
   }
-  walk.direction = scattered(walk.direction, medium.anisotropy, walk.random);
+  const Vec3 before = walk.direction;
+  walk.direction = scattered(before, medium.anisotropy, walk.random);
+  if (walk.events >= leaps_begin && medium.leap.possible()) {
+    const double radius = medium.leap.radius(clearance);
+    if (radius > 0 && scattered_evenly(medium.anisotropy, before.dot(walk.direction), walk.random) &&
+        !leap(walk, layer, radius))
+      return false;
+  }
   return outlived(walk);
+}
+
+// False where the path ends.
+bool TallyTransport::leap(Walk& walk, std::size_t layer, double radius) const {
+  const DiffuseLeap& how = media_[layer].leap;
+  walk.tally.note(PathEvent::leaps);
+  if (problem_.shape == TallyShape::sphere) {
+    // What passes on the way is counted at one place of it, drawn in proportion.
+    const double r = (walk.point + how.place(radius, walk.random) * even_direction(walk.random)).norm();
+    walk.tally.add(profile_slot(0, std::min(bins_ - 1, static_cast<std::size_t>(r / bin_width_))),
+                   walk.weight * how.length(radius));
+  }
+  const double taken = walk.weight * how.loss(radius);
+  if (taken > 0) {
+    walk.tally.add(first_layer + layer, taken);
+    walk.weight -= taken;
+    if (!survives_faintness(walk.weight, walk.random)) {
+      walk.tally.note(PathEvent::roulette);
+      return false;
+    }
+  }
+  walk.point += radius * even_direction(walk.random);
+  walk.direction = even_direction(walk.random);
+  return true;
 }
 
 bool TallyTransport::outlived(Walk& walk) const {
@@ -157,7 +191,7 @@ void TallyTransport::follow_slab(Walk& walk) const {
                                     : infinite;
     if (free < wall) {
       walk.point += free * walk.direction;
-      if (!interact(walk, 0)) return;
+      if (!interact(walk, 0, std::min(walk.point.z(), thickness - walk.point.z()))) return;
       continue;
     }
     if (!(wall < infinite)) {  // along a slab of nothing, or into a half-space beyond all numbers
@@ -242,7 +276,10 @@ void TallyTransport::follow_sphere(Walk& walk) const {
     track(walk, std::min(free, wall));
     if (free < wall) {
       walk.point += free * walk.direction;
-      if (!interact(walk, layer)) return;
+      const double from_centre = walk.point.norm();
+      if (!interact(walk, layer,
+                    std::min(medium.outer - from_centre, layer > 0 ? from_centre - medium.inner : infinite)))
+        return;
       optical = walk.random.exponential();
       continue;
     }

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "solvers/transport/diffuse_leap.h"
 #include "solvers/transport/path_campaign.h"
 
 namespace shellgrid {
@@ -29,6 +30,7 @@ struct TallyProblem {
   int bins = 50;                                    // of the radial profile
   double extent = 0;  // of the profile, mm; 0: a sphere's radius, else ten transport mean free paths
   std::uint64_t seed = 0;
+  bool leaps = true;  // deep inside, many collisions at once
 };
 
 // Shares of the light sent.
@@ -59,11 +61,14 @@ class TallyTransport {
   enum Slot : std::size_t { reflected, specular, transmitted, unscattered, lost, first_layer };
   struct Medium {
     double extinction, albedo, anisotropy, inverse_extinction, outer, inner;  // shells: radii
+    DiffuseLeap leap;
   };
   struct Walk;
   void follow_slab(Walk& walk) const;
   void follow_sphere(Walk& walk) const;
-  bool interact(Walk& walk, std::size_t layer) const;
+  // `clearance`: how far the layer surely reaches about the point, mm.
+  bool interact(Walk& walk, std::size_t layer, double clearance) const;
+  bool leap(Walk& walk, std::size_t layer, double radius) const;
   bool outlived(Walk& walk) const;
   void track(const Walk& walk, double length) const;
   std::size_t profile_slot(int profile, std::size_t bin) const {

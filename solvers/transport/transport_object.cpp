@@ -28,6 +28,7 @@ TransportObject::TransportObject(const TriangleMesh& mesh, const Material& mater
   if (!(ior >= 1) || !std::isfinite(ior)) throw InputError("the refractive index must be at least 1");
   surface_ = std::make_unique<TransportSurface>(mesh_, TriangleMesh());
   clearance_ = surface_clearance(mesh_, TriangleMesh());
+  distance_ = std::make_unique<SurfaceDistance>(std::vector<TriangleMesh>{mesh_});
 }
 
 TransportObject::TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior,
@@ -42,6 +43,7 @@ TransportObject::TransportObject(const TriangleMesh& mesh, const ShellVolume& sh
   free_space_ = voxel_boundary(shell.frame, free_voxels);
   if (free_space_.face_count() > 0) surface_ = std::make_unique<TransportSurface>(mesh_, free_space_);
   clearance_ = surface_clearance(mesh_, free_space_);
+  distance_ = std::make_unique<SurfaceDistance>(std::vector<TriangleMesh>{mesh_, free_space_});
 }
 
 bool TransportObject::contains(const Vec3& point, SurfaceKind surface) const {

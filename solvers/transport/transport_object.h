@@ -8,6 +8,7 @@
 #include "solvers/transport/body_walk.h"
 #include "solvers/transport/homogeneous_medium.h"
 #include "solvers/transport/shell_medium.h"
+#include "solvers/transport/surface_distance.h"
 
 namespace shellgrid {
 
@@ -27,7 +28,7 @@ class TransportObject {
   const TriangleMesh& free_space() const { return free_space_; }  // its surface; no faces where there is none
   const TransportSurface& surface() const { return *surface_; }
   const TransportMedium& medium() const { return medium_; }
-  TransportBody body() const { return {*surface_, clearance_, ior_}; }
+  TransportBody body() const { return {*surface_, clearance_, ior_, distance_.get()}; }
   double ior() const { return ior_; }
   // Whether the point lies inside the outer surface, or the surface of free space.
   bool contains(const Vec3& point, SurfaceKind surface = SurfaceKind::outer) const;
@@ -44,6 +45,7 @@ class TransportObject {
   TransportMedium medium_;
   std::unique_ptr<TransportSurface> surface_;
   ClearanceGrid clearance_;
+  std::unique_ptr<SurfaceDistance> distance_;
 };
 
 }  // namespace shellgrid

@@ -181,7 +181,7 @@ TEST(ReferenceConvergence, ErrorsFallWithTheSquareRootOfThePaths) {
       sum += exact.exitance[v].matrix().squaredNorm();
     }
     errors[k] = std::sqrt(squares / sum);
-    claimed[k] = r.relative_error;
+    claimed[k] = r.relative_error.value();
     std::printf("%9.0f paths: relative error %.4f, claimed (worst channel) %.4f\n", count, errors[k], claimed[k]);
   }
   const double slope = std::log(errors[3] / errors[0]) / std::log(64.0);

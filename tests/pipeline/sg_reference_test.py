@@ -147,6 +147,16 @@ class LightTracing(Reference):
             passed = 2 * (1 - (1 + depth) * numpy.exp(-depth)) / depth ** 2 if depth else 1
             self.assertAlmostEqual(energy["leaving"][c] / energy["entering"][c], passed, delta=0.01)
 
+    def test_an_error_that_nobody_knows_is_not_zero(self):
+        black = programs.scene(material={"core": {"absorption": 1e4, "scattering": 0}})
+        programs.write_json(type(self).at("black.json"), black)
+        for name, options in (("single", ["--paths", "1"]), ("swallowed", ["--paths", "5e3"])):
+            done = self.trace(name, *options, scene="black.json" if name == "swallowed" else "scene.json")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("± unknown", done.stdout)
+            self.assertIsNone(programs.record(type(self).at(name + ".ply"))["results"]["relative_standard_error"])
+        self.refused(2, "scene.json", "ball.off", "-o", "refused.ply", "--paths", "0.5", words="at least one path")
+
     def test_fewer_paths_than_the_state_holds_are_told(self):
         self.assertEqual(self.trace("many", "--paths", "600", "--state", "many.state").stderr, "")
         self.assertEqual(self.trace("many", "--paths", "600", "--state", "many.state").stderr, "")
@@ -351,6 +361,19 @@ class Tally(Reference):
                 texts.append(file.read())
         self.assertEqual(texts[0], texts[1])
         self.assertNotEqual(texts[0], texts[2])
+
+    def test_what_no_path_found_is_not_known_to_be_nothing(self):
+        ink = self.measured("slab", "--thickness", "100", "--absorption", "1", "--scattering", "0.1", "--paths", "1000")
+        self.assertEqual(ink["transmittance"]["value"], 0)
+        self.assertIsNone(ink["transmittance"]["standard_error"])
+        self.assertAlmostEqual(ink["transmittance"]["upper_bound"], 0.00299, delta=1e-5)
+        self.assertEqual(ink["specular_reflectance"], {"value": 0, "standard_error": 0})
+        single = self.measured("slab", "--paths", "1")
+        self.assertIsNone(single["diffuse_reflectance"]["standard_error"])
+        white = self.measured("half-space", "--paths", "1e4")
+        self.assertEqual(white["diffuse_reflectance"], {"value": 1, "standard_error": 0})
+        self.assertEqual(white["transmittance"], {"value": 0, "standard_error": 0})
+        self.assertEqual(white["absorbed"], [{"value": 0, "standard_error": 0}])
 
     def test_stops_at_a_target_error_and_at_a_time(self):
         slab = self.measured("slab", "--target-error", "0.01")

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "meshing/shell/shell_volume.h"
+#include "solvers/transport/diffuse_leap.h"
 #include "solvers/transport/homogeneous_medium.h"
 #include "solvers/transport/light_path.h"
 #include "solvers/transport/path_tally.h"
@@ -44,6 +45,9 @@ class GlobalMajorantMedium {
     }
   }
 
+  // It does not know where matter is homogeneous.
+  const ChannelLeaps& leaps() const { return leaps_; }
+  double reach(const Vec3&) const { return 0; }
   ScatteringPlace place(const LightPath& path) const {
     const Material here = material(path.point);
     return scattering_place(here.albedo, here.anisotropy, 0);
@@ -62,6 +66,7 @@ class GlobalMajorantMedium {
 
   const ShellVolume& shell_;
   double majorant_ = 0;
+  ChannelLeaps leaps_;
 };
 
 }  // namespace shellgrid::test

@@ -272,7 +272,7 @@ TEST(LightTracing, StandardErrorsAreTrueAndFall) {
   LightTracingOptions other;
   other.seed = 1;
   const Traced few = trace(object, sun, 10000, other), many = trace(object, sun, 160000);
-  EXPECT_NEAR(few.result.relative_error / many.result.relative_error, 4, 0.15);
+  EXPECT_NEAR(few.result.relative_error.value() / many.result.relative_error.value(), 4, 0.15);
   double squares = 0;
   int count = 0;
   for (int v = 0; v < ball.vertex_count(); ++v) {
@@ -282,6 +282,47 @@ TEST(LightTracing, StandardErrorsAreTrueAndFall) {
     ++count;
   }
   EXPECT_NEAR(squares / count, 1, 4 * std::sqrt(2.0 / count) + 0.1);
+}
+
+// Light that dives deep into a thick body takes leaps there. A white one returns it all, and others absorb what the
+// sphere of one layer does.
+TEST(LightTracing, ThickBodiesAreLeaptThrough) {
+  const double radius = 2;
+  const TriangleMesh ball = shapes::sphere(radius, 5);
+  const std::vector<Light> sun = {DirectionalLight{Vec3(0.6, 0, -0.8), Rgb::Ones()}};
+  for (const float scattering : {1e3f, 1e5f}) {
+    const Rgb absorption(0, 1e-6f * scattering, 1e-4f * scattering);
+    const Material material = matter(absorption, Rgb::Constant(scattering), Rgb::Constant(0.3f));
+    const Traced traced = trace(TransportObject(ball, material, 1.4), sun, 12000);
+    expect_balance(traced.result);
+    EXPECT_EQ(traced.state.count(PathEvent::limit_roulette), 0u);
+    EXPECT_GT(traced.state.count(PathEvent::leaps), 0u);
+    for (int c = 0; c < 3; ++c) {
+      const double entering = traced.result.entering.channel[c].value;
+      const Estimate& absorbed = traced.result.absorbed_core.channel[c];
+      EXPECT_EQ(absorbed.value > 0, c > 0);
+      TallyProblem p;
+      p.shape = TallyShape::sphere;
+      p.source = TallySource::parallel;
+      p.layers = {{material.extinction[c] * (1 - double{material.albedo[c]}),
+                   material.extinction[c] * double{material.albedo[c]}, 0.3, radius}};
+      p.ior = 1.4;
+      p.bins = 1;
+      p.seed = 7;
+      const TallyTransport sphere(p);
+      const PathKind kind = sphere.kind();
+      PathState state(kind.scalars, kind.field_size);
+      PathLimits limits;
+      limits.paths = 12000;
+      follow_paths(kind, limits, state);
+      const TallyResult expected = sphere.result(state);
+      const double share = 1 - expected.specular_reflectance.value;
+      EXPECT_NEAR(
+          absorbed.value / entering, expected.absorbed[0].value / share,
+          4 * std::hypot(absorbed.standard_error / entering, expected.absorbed[0].standard_error / share) + 1e-12)
+          << "channel " << c << " at " << scattering;
+    }
+  }
 }
 
 TEST(LightTracing, WithoutInterreflectionLightThatLeavesIsGone) {

@@ -29,7 +29,7 @@ PathKind exponentials(std::atomic<int>* followed = nullptr) {
   };
   kind.relative_error = [](const PathState& state) {
     const Estimate e = state.scalar(0);
-    return e.standard_error / e.value;
+    return std::optional<double>(e.standard_error / e.value);
   };
   return kind;
 }
@@ -103,7 +103,7 @@ TEST(PathCampaign, StopsAtATargetErrorAndAtATime) {
   limits.target_error = 0.002;
   PathState state(kind.scalars, kind.field_size);
   EXPECT_EQ(follow_paths(kind, limits, state), PathEnd::target_error);
-  EXPECT_LE(kind.relative_error(state), 0.002);
+  EXPECT_LE(kind.relative_error(state).value(), 0.002);
   EXPECT_NEAR(static_cast<double>(state.paths), 250000, 0.15 * 250000);
   // An interrupted run stops at the same path.
   PathState parts(kind.scalars, kind.field_size);
@@ -112,10 +112,32 @@ TEST(PathCampaign, StopsAtATargetErrorAndAtATime) {
   follow_paths(kind, part, parts);
   EXPECT_EQ(follow_paths(kind, limits, parts), PathEnd::target_error);
   expect_same_bits(parts, state);
+  // What has met its target before is left as it is, also where it was followed for other reasons.
+  std::atomic<int> more = 0;
+  EXPECT_EQ(follow_paths(exponentials(&more), limits, state), PathEnd::target_error);
+  part.paths = 400001;
+  follow_paths(kind, part, parts);
+  EXPECT_EQ(follow_paths(exponentials(&more), limits, parts), PathEnd::target_error);
+  EXPECT_EQ(more, 0);
   PathLimits time;
   time.paths = 0;
   time.seconds = 0.05;
   EXPECT_EQ(follow_paths(kind, time, state), PathEnd::seconds);
+}
+
+// Each path brings the same: its error is known to be none, which is not the same as nothing found.
+TEST(PathCampaign, WhatNeverVariesMeetsAnyTarget) {
+  PathKind kind = exponentials();
+  kind.relative_error = [](const PathState& state) {
+    const Estimate e = state.scalar(1);
+    return std::optional<double>(e.standard_error / e.value);
+  };
+  PathState state(kind.scalars, kind.field_size);
+  PathLimits limits;
+  limits.paths = 0;
+  limits.target_error = 1e-9;
+  EXPECT_EQ(follow_paths(kind, limits, state), PathEnd::target_error);
+  EXPECT_LT(state.paths, 50000u);
 }
 
 TEST(PathCampaign, ErrorsFallWithTheSquareRootOfTheNumberOfPaths) {

@@ -152,13 +152,84 @@ TEST(TallyShapes, ProfilesAddUpToTheTotals) {
   EXPECT_NEAR(transmitted, r.transmittance.value, 1e-12);
 }
 
-TEST(TallyShapes, MatterWithoutAnEndStillEnds) {
+// White matter without an end returns all light, after times whose mean is infinite.
+TEST(TallyShapes, WhiteHalfSpaceReturnsEverything) {
+  for (const double anisotropy : {0.0, 0.8, -0.4}) {
+    TallyProblem p;
+    p.shape = TallyShape::half_space;
+    p.layers = {{0, 1, anisotropy}};
+    p.ior = anisotropy == 0 ? 1.5 : 1;
+    const TallyTransport transport(p);
+    const PathKind kind = transport.kind();
+    PathState state(kind.scalars, kind.field_size);
+    PathLimits limits;
+    limits.paths = 20000;
+    follow_paths(kind, limits, state);
+    const TallyResult r = transport.result(state);
+    EXPECT_NEAR(r.diffuse_reflectance.value + r.specular_reflectance.value, 1, 1e-12);
+    EXPECT_EQ(r.lost.value, 0);
+    EXPECT_EQ(state.count(PathEvent::limit_roulette), 0u);
+    EXPECT_GT(state.count(PathEvent::leaps), 0u);
+  }
+}
+
+// What nearly white matter absorbs is H(1) √(1 − α), H(1) = 2.9078 of white matter.
+TEST(TallyShapes, NearlyWhiteHalfSpaceOfChandrasekhar) {
   TallyProblem p;
   p.shape = TallyShape::half_space;
-  p.layers = {{0, 1, 0}};
-  const TallyResult r = measure(p, 1000);
-  expect_near(r.diffuse_reflectance, 1, 5);
-  EXPECT_EQ(r.lost.value, 0);
+  p.layers = {{1e-8, 1 - 1e-8, 0}};
+  const TallyResult r = measure(p, 40000);
+  expect_near(r.absorbed[0], 2.90781e-4, 4);
+  EXPECT_LT(r.absorbed[0].standard_error, 1e-4);
+}
+
+// A ball that light leaves after 1e8 collisions. Diffusion with the extrapolation of 0.7104 transport mean free paths
+// is exact here.
+TEST(TallyShapes, BallOfManyMeanFreePaths) {
+  TallyProblem p;
+  p.shape = TallyShape::sphere;
+  p.source = TallySource::centre;
+  p.layers = {{0, 1, 0.5, 2e4}};
+  p.bins = 4;
+  const TallyResult white = measure(p, 3000);
+  EXPECT_NEAR(white.transmittance.value, 1, 1e-12);
+  for (std::size_t k = 0; k < 4; ++k) {
+    // ∫ 3σ' (1/r − 1/R) r² dr over the bin's volume.
+    const double a = white.radius[k], b = white.radius[k + 1], radius = 2e4 + 2 * 0.7104;
+    const double sum = 1.5 * (0.5 * (b * b - a * a) - (b * b * b - a * a * a) / (3 * radius));
+    expect_near(white.fluence_profile[k], sum / (4 * std::numbers::pi / 3 * (b * b * b - a * a * a)), 4);
+    EXPECT_LT(white.fluence_profile[k].standard_error, 0.05 * white.fluence_profile[k].value);
+  }
+  // κR = 2: x / sinh x leaves, x = κ (R + extrapolation).
+  p.layers = {{2.0 * 2 / 1.5 / (2e4 * 2e4), 1, 0.5, 2e4}};
+  const TallyResult grey = measure(p, 20000);
+  const double x = 2.0 * (1 + 2 * 0.7104 / 2e4);
+  expect_near(grey.transmittance, x / std::sinh(x), 4);
+  expect_near(grey.absorbed[0], 1 - x / std::sinh(x), 4);
+}
+
+// Leaps against collisions one by one.
+TEST(TallyShapes, LeapsChangeNothing) {
+  for (const TallyLayer& layer : {TallyLayer{2e-4, 1, 0}, {1e-2, 3, 0.6}, {0, 0.7, -0.5}}) {
+    TallyProblem p;
+    p.shape = TallyShape::sphere;
+    p.source = TallySource::centre;
+    const double unit = 1 / (layer.scattering * (1 - std::max(0.0, layer.anisotropy)));
+    p.layers = {{layer.absorption, layer.scattering, layer.anisotropy, 50 * unit}, {1e-3, 0.5 / unit, 0, 55 * unit}};
+    p.bins = 11;
+    p.ior = 1.3;
+    const TallyResult with = measure(p, 20000);
+    p.leaps = false;
+    p.seed = 1;
+    const TallyResult without = measure(p, 2000);
+    const auto same = [&](const Estimate& a, const Estimate& b, const char* what) {
+      EXPECT_NEAR(a.value, b.value, 4 * std::hypot(a.standard_error, b.standard_error)) << what;
+    };
+    same(with.transmittance, without.transmittance, "transmittance");
+    for (std::size_t k = 0; k < 2; ++k) same(with.absorbed[k], without.absorbed[k], "absorbed");
+    for (std::size_t k = 0; k < with.fluence_profile.size(); ++k)
+      same(with.fluence_profile[k], without.fluence_profile[k], "fluence");
+  }
 }
 
 TEST(TallyShapes, NonsenseIsRefused) {
