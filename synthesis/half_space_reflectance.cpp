@@ -130,6 +130,24 @@ double ReflectanceInversion::reduced_albedo(double reflectance) const {
   return 1 - s * s;
 }
 
+double ReflectanceInversion::reflectance(double reduced_albedo) const {
+  if (model_ == ReflectanceModel::dipole) return diffuse_reflectance(reduced_albedo, ior_);
+  const double place = std::sqrt(std::clamp(1 - reduced_albedo, 0.0, 1.0)) * (table_size - 1);
+  const auto i = std::min<std::size_t>(static_cast<std::size_t>(place), table_size - 2);
+  const double t = place - static_cast<double>(i);
+  return (1 - t) * reflectances_[i] + t * reflectances_[i + 1];
+}
+
+Rgb ReflectanceInversion::color(const Material& material) const {
+  const Rgb extinction = material.reduced_extinction(), scattering = material.reduced_scattering();
+  Rgb color = Rgb::Zero();
+  for (int c = 0; c < 3; ++c)
+    if (extinction[c] > 0)
+      color[c] =
+          static_cast<float>(reflectance(static_cast<double>(scattering[c]) / static_cast<double>(extinction[c])));
+  return color;
+}
+
 Rgb ReflectanceInversion::reduced_albedo(const Rgb& reflectance) const {
   Rgb albedo;
   for (int c = 0; c < 3; ++c) albedo[c] = static_cast<float>(reduced_albedo(static_cast<double>(reflectance[c])));

@@ -2,7 +2,7 @@
 #pragma once
 #include <vector>
 
-#include "meshing/core/vec.h"
+#include "meshing/core/material.h"
 
 namespace shellgrid {
 
@@ -18,13 +18,18 @@ enum class ReflectanceModel {
   transport  // half_space_reflectance
 };
 
-// The reduced albedo of matter that shows a given diffuse reflectance: how colours become albedos. Source: [STF §5.1].
+// The reduced albedo of matter that shows a given diffuse reflectance: how colours become albedos; and back, how
+// albedos look. Source: [STF §5.1].
 class ReflectanceInversion {
  public:
   ReflectanceInversion(ReflectanceModel model, double ior);
   // reflectance: 0 … 1; to about 1e-5.
   double reduced_albedo(double reflectance) const;
   Rgb reduced_albedo(const Rgb& reflectance) const;
+  // To about 1e-5. reduced_albedo: 0 … 1.
+  double reflectance(double reduced_albedo) const;
+  // The colour that a half-space of this material shows, linear RGB; black in free space.
+  Rgb color(const Material& material) const;
 
  private:
   ReflectanceModel model_;

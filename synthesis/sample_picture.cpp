@@ -3,8 +3,10 @@
 
 #include <algorithm>
 
+#include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "synthesis/albedo.h"
+#include "synthesis/half_space_reflectance.h"
 
 namespace shellgrid {
 namespace {
@@ -41,9 +43,9 @@ SamplePicture draw_sample(const MaterialSample& sample) {
   const Vec3i n = sample.size;
   const std::size_t texels = static_cast<std::size_t>(n.x()) * n.y();
   std::vector<Rgb> colors(sample.voxel_count());
+  const ReflectanceInversion half_space(ReflectanceModel::transport, sample.ior);
   parallel_for(sample.voxel_count(), [&](std::size_t i) {
-    colors[i] =
-        sample.kind[i] == VoxelKind::free_space ? free_space_color : diffuse_color(sample.material(i), sample.ior);
+    colors[i] = sample.kind[i] == VoxelKind::free_space ? free_space_color : half_space.color(sample.material(i));
   });
   const bool relief = std::find(sample.kind.begin(), sample.kind.end(), VoxelKind::free_space) != sample.kind.end();
   const Vec3f light = Vec3f(-0.45f, -0.55f, -0.7f).normalized();
@@ -72,6 +74,29 @@ SamplePicture draw_sample(const MaterialSample& sample) {
               [&](int x, int z) { return colors[z * texels + texel(x, n.y() / 2)]; });
   canvas.draw(right, below, n.y(), n.z(), 2 * scale,
               [&](int y, int z) { return colors[z * texels + texel(n.x() / 2, y)]; });
+  return canvas.take();
+}
+
+SamplePicture draw_shell(const ShellVolume& shell) {
+  const ReflectanceInversion half_space(ReflectanceModel::transport, shell.ior);
+  Vec3i lower = Vec3i::Constant(1 << 30), upper = -lower;
+  shell.kind.for_each_active([&](int i, int j, int k, std::int32_t) {
+    lower = lower.cwiseMin(Vec3i(i, j, k));
+    upper = upper.cwiseMax(Vec3i(i, j, k));
+  });
+  if (lower.x() > upper.x()) throw InputError("the shell has no voxels");
+  const Vec3i n = upper - lower + Vec3i::Ones(), middle = (lower + upper) / 2;
+  const int scale = std::max(1, 400 / n.maxCoeff());
+  const auto color = [&](int x, int y, int z) -> Rgb {
+    if (!shell.kind.is_active(x, y, z)) return Rgb::Ones();
+    if (shell.kind.value(x, y, z) == static_cast<std::int32_t>(VoxelKind::free_space)) return free_space_color;
+    return half_space.color({shell.extinction.value(x, y, z).array(), shell.albedo.value(x, y, z).array(),
+                             shell.anisotropy.value(x, y, z).array()});
+  };
+  Canvas canvas((n.x() + n.z()) * scale + gap, std::max(n.y(), n.z()) * scale);
+  canvas.draw(0, 0, n.x(), n.y(), scale, [&](int x, int y) { return color(lower.x() + x, upper.y() - y, middle.z()); });
+  canvas.draw(n.x() * scale + gap, 0, n.z(), n.y(), scale,
+              [&](int z, int y) { return color(middle.x(), upper.y() - y, lower.z() + z); });
   return canvas.take();
 }
 

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "meshing/shell/shell_volume.h"
 #include "synthesis/material_sample.h"
 
 namespace shellgrid {
@@ -16,5 +17,9 @@ struct SamplePicture {
 // right its middle layer. Below, one period twice as large: cuts through the middle along x (left) and y (right), the
 // top up. Free space is blue; colours are diffuse reflectances.
 SamplePicture draw_sample(const MaterialSample& sample);
+
+// Cuts through the middle of a shell, perpendicular to z and to x, y up. Voxels outside and a core that is none of the
+// file's are white. Throws: InputError without voxels.
+SamplePicture draw_shell(const ShellVolume& shell);
 
 }  // namespace shellgrid

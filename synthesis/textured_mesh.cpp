@@ -13,6 +13,7 @@
 #include "meshing/formats/vdb_file.h"
 #include "meshing/surface/half_edges.h"
 #include "synthesis/albedo.h"
+#include "synthesis/half_space_reflectance.h"
 
 namespace shellgrid {
 namespace {
@@ -123,9 +124,9 @@ AttributedMesh view_sample(const MaterialSample& sample) {
     }
     return best;
   };
+  const ReflectanceInversion half_space(ReflectanceModel::transport, sample.ior);
   add_colors(
-      view,
-      [&](int v) { return Vec3f(display_color(diffuse_color(sample.material(voxel_of(v)), sample.ior)).matrix()); },
+      view, [&](int v) { return Vec3f(display_color(half_space.color(sample.material(voxel_of(v)))).matrix()); },
       [&](int v) { return static_cast<float>(view.mesh.vertices(v, 2)); });
   // Drawn with the top up: depth runs downwards.
   for (int v = 0; v < view.mesh.vertex_count(); ++v) view.mesh.vertices(v, 2) = -view.mesh.vertices(v, 2);
@@ -206,8 +207,9 @@ AttributedMesh view_shell(const TexturedMesh& mesh, const ShellVolume& shell) {
     }
     return material;
   };
+  const ReflectanceInversion half_space(ReflectanceModel::transport, shell.ior);
   add_colors(
-      view, [&](int v) { return Vec3f(display_color(diffuse_color(material_below(v), shell.ior)).matrix()); },
+      view, [&](int v) { return Vec3f(display_color(half_space.color(material_below(v))).matrix()); },
       [&](int v) { return material_below(v).reduced_extinction()[1]; });
   return view;
 }

@@ -266,8 +266,10 @@ void add_shell_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
     shell.arguments.insert(shell.arguments.end(),
                            {"--core-absorption", rgb_text(core->absorption()), "--core-scattering",
                             rgb_text(core->scattering()), "--core-anisotropy", rgb_text(core->anisotropy)});
-  if (std::holds_alternative<InterpolatedCore>(c.scene.material->core))
-    shell.arguments.insert(shell.arguments.end(), {"--core", "interpolated"});
+  if (const auto* core = std::get_if<ContinuedCore>(&c.scene.material->core))
+    shell.arguments.insert(shell.arguments.end(), {"--core", core->kind});
+  if (material.coordinates != "interpolated")
+    shell.arguments.insert(shell.arguments.end(), {"--coordinates", material.coordinates});
   shell.artefacts = {"synthesized.ply", "distance.vdb", "sample.vdb"};
   for (const PlannedStage* stage : {&distance, &sample, &textons, &synthesize, &shell}) stages.push_back(*stage);
 }

@@ -108,7 +108,8 @@ SceneMaterial parse_material(const Section& section) {
   }
   if (section.has("shell")) {
     const Section shell = section.section("shell");
-    material.shell = ShellMaterial{shell.text_or_empty("sample"), shell.number("thickness"), shell.number("voxel"), {}};
+    material.shell = ShellMaterial{
+        shell.text_or_empty("sample"), shell.number("thickness"), shell.number("voxel"), shell.text("coordinates"), {}};
     for (std::size_t i = 0; i < shell.count("orient"); ++i) {
       const Section wanted = shell.element("orient", i);
       material.shell->orient.push_back({wanted.vector("point"), wanted.direction("direction")});
@@ -119,8 +120,8 @@ SceneMaterial parse_material(const Section& section) {
   }
   if (section.has("core") && section.value("core").is_object())
     material.core = parse_coefficients(section.section("core"));
-  else if (section.has("core") && section.text("core") == "interpolated")
-    material.core = InterpolatedCore{};
+  else if (section.has("core") && section.text("core") != "bottom-layer")
+    material.core = ContinuedCore{section.text("core")};
   return material;
 }
 

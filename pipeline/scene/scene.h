@@ -22,22 +22,27 @@ struct SceneObject {
 };
 
 struct ShellMaterial {
-  std::string sample;                       // path of the sample description or .vdb
-  double thickness = 4;                     // mm
-  double voxel = 0.4;                       // d_0, mm
-  std::vector<DirectionConstraint> orient;  // of the sample's x; points in the scene's frame
+  std::string sample;                        // path of the sample description or .vdb
+  double thickness = 4;                      // mm
+  double voxel = 0.4;                        // d_0, mm
+  std::string coordinates = "interpolated";  // or "nearest"
+  std::vector<DirectionConstraint> orient;   // of the sample's x; points in the scene's frame
 };
 
-struct BottomLayerCore {};   // the mean of the sample's bottom layer
-struct InterpolatedCore {};  // the shell's bottom layer, continued smoothly
+struct BottomLayerCore {};  // the mean of the sample's bottom layer
+// What the shell's own matter says of it: "interpolated" or "mean-value", its bottom layer continued smoothly on the
+// solver's grid or as voxels; or "solid", its sample as a solid.
+struct ContinuedCore {
+  std::string kind;
+};
 struct OpaqueMaterial {
   Rgb reflectance = Rgb::Constant(0.5f);  // diffuse, 0 … 1
 };
 
 struct SceneMaterial {
-  std::optional<ShellMaterial> shell;                              // absent: homogeneous or opaque
-  std::variant<BottomLayerCore, InterpolatedCore, Material> core;  // below the shell, or the homogeneous object
-  std::optional<OpaqueMaterial> opaque;                            // excludes shell and core
+  std::optional<ShellMaterial> shell;                           // absent: homogeneous or opaque
+  std::variant<BottomLayerCore, ContinuedCore, Material> core;  // below the shell, or the homogeneous object
+  std::optional<OpaqueMaterial> opaque;                         // excludes shell and core
 };
 
 struct SceneMethod {

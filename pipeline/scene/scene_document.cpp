@@ -81,9 +81,11 @@ class Checker {
         return numbers(value, place, key, 3);
       case KeyType::core:
         if (value.is_object()) return section(value, place, key.place);
-        if (!value.is_string() || (value != "bottom-layer" && value != "interpolated"))
+        if (!value.is_string() ||
+            (value != "bottom-layer" && value != "interpolated" && value != "mean-value" && value != "solid"))
           fail(place, "is " + kind_of(value) +
-                          "; expected \"bottom-layer\", \"interpolated\", {\"named\": …} or {\"absorption\": …, "
+                          "; expected \"bottom-layer\", \"interpolated\", \"mean-value\", \"solid\", {\"named\": …} or "
+                          "{\"absorption\": …, "
                           "\"scattering\": …}");
         return;
     }

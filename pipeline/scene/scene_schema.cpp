@@ -69,6 +69,10 @@ std::vector<SceneKey> make_schema() {
       file("material.shell.sample", "description of the material sample (.json) or a base volume (.vdb)"),
       number("material.shell.thickness", "mm", 4, 1e-6, 1e4, "thickness of the shell"),
       number("material.shell.voxel", "mm", 0.4, 1e-6, 1e4, "edge of its voxels, d_0"),
+      word("material.shell.coordinates", "interpolated", {"interpolated", "nearest"},
+           "where in the sample a voxel lies: continued from the triangle above it, or that of the nearest vertex, as "
+           "the "
+           "paper does"),
       list("material.shell.orient", "where the sample's x must run in a direction of one's own"),
       vector("material.shell.orient[].point", "mm", none, "there, at the nearest point of the surface"),
       vector("material.shell.orient[].direction", "", none, "along the surface; the rest follows smoothly"),
@@ -81,8 +85,10 @@ std::vector<SceneKey> make_schema() {
        false,
        {},
        "below the shell, or the whole homogeneous object: `\"bottom-layer\"` (the mean of the sample's bottom layer), "
-       "`\"interpolated\"` (the shell's bottom layer continued smoothly: harmonically, without new extremes), a named "
-       "material, or coefficients; required without a shell"},
+       "`\"interpolated\"` (the shell's bottom layer continued smoothly: harmonically, without new extremes), "
+       "`\"mean-value\"` (the same by mean value coordinates, as voxels of the shell's file), `\"solid\"` (the sample "
+       "as a "
+       "solid, fitted to the shell's bottom, as voxels), a named material, or coefficients; required without a shell"},
       {"material.core.named",
        KeyType::name,
        "",

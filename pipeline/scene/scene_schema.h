@@ -20,7 +20,7 @@ enum class KeyType {
   vector,      // [x, y, z]
   colour,      // [r, g, b] or one number for all three
   resolution,  // [width, height]
-  core,        // material.core: "bottom-layer", "interpolated" or a section
+  core,        // material.core: "bottom-layer", "interpolated", "mean-value", "solid" or a section
 };
 
 // Greatest radiance, irradiance or intensity of a light: sums over many of them stay far from the end of single

@@ -22,9 +22,10 @@ int main(int argc, char** argv) {
   StageProgram program("sg-describe", "says what an artefact is: kind, counts, bounds, value ranges");
   program.input("ARTEFACT", path,
                 "a mesh (ply obj off stl), volume (vdb), grid (hdf), image (exr png) or record (json)");
-  program.output("description.json",
-                 "the description as JSON; as .ply, a polygrid's coarse level to look at; as .png, a sample's slices",
-                 true, {".ply", ".png"});
+  program.output(
+      "description.json",
+      "the description as JSON; as .ply, a polygrid's coarse level to look at; as .png, slices of a sample or a shell",
+      true, {".ply", ".png"});
   program.flag("--json", as_json, "print JSON instead of text");
   program.option("--level", level, "", "of the polygrid's hierarchy, for -o NAME.ply", 1, 64);
   program.example("sg-describe surface.ply", "vertices, genus, bounds, the range of each property");
@@ -40,7 +41,9 @@ int main(int argc, char** argv) {
       const Polygrid polygrid = read_polygrid(path);
       write_ply(run.output(), naming(path, [&] { return level_view(polygrid, level); }));
     } else if (run.output().ends_with(".png")) {
-      const SamplePicture picture = draw_sample(restore_sample(read_vdb(path)));
+      const SamplePicture picture = description.at("kind") == "volume: shell volume"
+                                        ? draw_shell(read_shell_volume(path))
+                                        : draw_sample(restore_sample(read_vdb(path)));
       write_png(run.output(), picture.width, picture.height, picture.rgb);
     } else if (!run.output().empty()) {
       write_text_atomically(run.output(), text + "\n");

@@ -11,59 +11,139 @@
 #include "pipeline/cli/view_path.h"
 #include "synthesis/sample_archive.h"
 #include "synthesis/sample_check.h"
+#include "synthesis/shell_core.h"
 #include "synthesis/textured_mesh.h"
 
 using namespace shellgrid;
+using nlohmann::json;
+
+namespace {
+
+struct CoreOptions {
+  std::string kind = "bottom-layer", sample_path;
+  std::vector<double> absorption, scattering, anisotropy;
+  int boundary_triangles = 2000;
+  SolidCoreOptions solid;
+
+  bool given() const { return !absorption.empty(); }
+  void check() const {
+    if (absorption.empty() != scattering.empty())
+      throw UsageError("--core-absorption and --core-scattering must be given together");
+    if (absorption.empty() && !anisotropy.empty())
+      throw UsageError("--core-anisotropy needs --core-absorption and --core-scattering");
+    if (given() && kind != "bottom-layer")
+      throw UsageError("--core " + kind + " takes its coefficients from the shell; leave out --core-absorption");
+    if (!sample_path.empty() && kind != "solid") throw UsageError("core.vdb: only --core solid takes it");
+  }
+  Material homogeneous(const MaterialSample& sample) const {
+    const auto color = [](const std::vector<double>& v) {
+      return v.empty() ? Rgb(Rgb::Zero()) : Rgb(Eigen::Array3d(v[0], v[1], v[2]).cast<float>());
+    };
+    return given() ? Material::from_absorption_scattering(color(absorption), color(scattering), color(anisotropy))
+                   : bottom_layer_mean(sample);
+  }
+};
+
+// Makes the core of the shell, and what the record says of it.
+json make_core(const CoreOptions& options, ShellVolume& shell, const DistanceField& distance,
+               const MaterialSample& sample, Progress& progress) {
+  CoreStatistics statistics;
+  json result = {{"kind", options.given() ? "coefficients" : options.kind}};
+  if (options.kind == "interpolated") shell.core_interpolated = true;
+  if (options.kind == "mean-value") {
+    fill_core_by_mean_values(shell, distance, options.boundary_triangles, &statistics, progress);
+    result["boundary_triangles"] = statistics.boundary_triangles;
+    result["boundary_edge_mm"] = statistics.boundary_edge;
+  }
+  if (options.kind == "solid") {
+    fill_core_with_solid(shell, distance,
+                         options.sample_path.empty() ? sample : restore_sample(read_vdb(options.sample_path)),
+                         options.solid, &statistics, progress);
+    result["synthesized_voxels"] = statistics.synthesized_voxels;
+    result["step_to_shell_over_samples"] =
+        statistics.sample_step > 0 ? statistics.shell_step / statistics.sample_step : 0;
+    result["tilings_step_over_samples"] =
+        statistics.sample_step > 0 ? statistics.tiling_step / statistics.sample_step : 0;
+  }
+  if (options.kind == "mean-value" || options.kind == "solid") {
+    result["voxels"] = statistics.voxels;
+    result["bytes"] = statistics.bytes;
+  }
+  return result;
+}
+
+json coordinate_results(const std::string& kind, const ShellStatistics& s) {
+  if (kind == "nearest") return {{"kind", kind}};
+  return {{"kind", kind},
+          {"incoherent_share", s.incoherent_share},
+          {"changed_share", s.changed_share},
+          {"reduced_extinction_rms", s.extinction_rms},
+          {"reduced_extinction_deviation", s.extinction_deviation},
+          {"reduced_albedo_rms", s.albedo_rms},
+          {"reduced_albedo_deviation", s.albedo_deviation}};
+}
+
+std::string report(const std::string& kind, const ShellStatistics& s, const json& core) {
+  std::string line = fmt::format("{} voxels in {} of {} leaves", s.voxels, s.leaves, s.possible_leaves);
+  if (core.contains("voxels")) line += fmt::format(", {} below them", core["voxels"].get<long>());
+  if (kind == "nearest") return line;
+  return line + fmt::format(
+                    "; against nearest vertices {:.0f} % are other voxels of the sample, by {:.3g} /mm in reduced "
+                    "extinction, which deviates by {:.3g} /mm",
+                    100 * s.changed_share, s.extinction_rms, s.extinction_deviation);
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
-  std::string mesh_path, distance_path, sample_path;
+  std::string mesh_path, distance_path, sample_path, coordinates = "interpolated";
   double thickness = 4;
-  std::vector<double> absorption, scattering, anisotropy;
-  std::string core_kind = "bottom-layer", coordinates = "interpolated";
+  CoreOptions core;
   StageProgram program("sg-shell", "Resamples the synthesised shell on a regular two-level grid.");
   program.input("synthesized.ply", mesh_path, "surface with texture coordinates, from sg-synthesize");
   program.input("distance.vdb", distance_path, "distance field of the same surface, from sg-distance");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
+  program.input("core.vdb", core.sample_path, "the solid of --core solid, from sg-sample; without it the base volume",
+                true);
   program.output("shell.vdb", "the shell's voxels");
   program.output_beside(".view.ply");
   program.option("--thickness", thickness, "mm", "thickness of the shell", 1e-6, 1e4);
   program.option(
       "--coordinates", coordinates,
-      "where in the sample a voxel lies: continued from the vertices of the triangle above it, or those of the "
+      "where in the sample a voxel lies: continued from the vertices of the triangle above it, or that of the "
       "nearest vertex, as the paper does",
       {"interpolated", "nearest"});
-  program.option("--core", core_kind,
-                 "below the shell without coefficients: the mean of the sample's bottom layer everywhere, or the "
-                 "shell's bottom layer continued smoothly",
-                 {"bottom-layer", "interpolated"});
-  program.option("--core-absorption", absorption, "1/mm", "of a homogeneous core; without it see --core", 0, 1e6);
-  program.option("--core-scattering", scattering, "1/mm", "of the core", 0, 1e6);
-  program.option("--core-anisotropy", anisotropy, "", "of the core; 0 where not given", -0.999, 0.999);
+  program.option("--core", core.kind,
+                 "below the shell without coefficients: the mean of the sample's bottom layer everywhere; the shell's "
+                 "bottom layer continued smoothly by each later stage on its own grid; or as voxels of this file: "
+                 "interpolated by mean value coordinates, or solid synthesis",
+                 {"bottom-layer", "interpolated", "mean-value", "solid"});
+  program.option("--core-triangles", core.boundary_triangles, "", "of the boundary that mean values are taken from", 50,
+                 100000);
+  program.option(
+      "--core-reach", core.solid.reach, "voxels",
+      "how far below the shell, and about the slabs that it is laid in, a solid is synthesised; elsewhere it tiles", 0,
+      64);
+  program.option("--core-absorption", core.absorption, "1/mm", "of a homogeneous core; without it see --core", 0, 1e6);
+  program.option("--core-scattering", core.scattering, "1/mm", "of the core", 0, 1e6);
+  program.option("--core-anisotropy", core.anisotropy, "", "of the core; 0 where not given", -0.999, 0.999);
   program.example("sg-shell synthesized.ply distance.vdb sample.vdb -o shell.vdb", "a shell 4 mm thick");
   return program.run(argc, argv, [&](StageRun& run) {
-    if (absorption.empty() != scattering.empty())
-      throw UsageError("--core-absorption and --core-scattering must be given together");
-    if (absorption.empty() && !anisotropy.empty())
-      throw UsageError("--core-anisotropy needs --core-absorption and --core-scattering");
-    if (!absorption.empty() && core_kind == "interpolated")
-      throw UsageError("--core interpolated takes its coefficients from the shell; leave out --core-absorption");
+    core.check();
+    program.refuse_unless(core.kind == "mean-value", "--core mean-value", {"--core-triangles"});
+    program.refuse_unless(core.kind == "solid", "--core solid", {"--core-reach"});
+    core.solid.seed = run.seed();
     run.start_timer("read");
     const TexturedMesh mesh = detach_texture(read_mesh(mesh_path), mesh_path);
     const DistanceField distance = read_distance_field(distance_path);
     const MaterialSample sample = restore_sample(read_vdb(sample_path));
-    const auto color = [](const std::vector<double>& v) {
-      return v.empty() ? Rgb(Rgb::Zero()) : Rgb(Eigen::Array3d(v[0], v[1], v[2]).cast<float>());
-    };
-    const Material core = absorption.empty() ? bottom_layer_mean(sample)
-                                             : Material::from_absorption_scattering(
-                                                   color(absorption), color(scattering), color(anisotropy));
     run.start_timer("resample");
-    ShellStatistics statistics;
-    ShellVolume shell =
-        resample_shell(mesh, distance, sample, core, thickness,
-                       coordinates == "nearest" ? ShellCoordinates::nearest : ShellCoordinates::interpolated,
-                       &statistics, run.progress());
-    shell.core_interpolated = core_kind == "interpolated";
+    ShellStatistics s;
+    ShellVolume shell = resample_shell(
+        mesh, distance, sample, core.homogeneous(sample), thickness,
+        coordinates == "nearest" ? ShellCoordinates::nearest : ShellCoordinates::interpolated, &s, run.progress());
+    run.start_timer("core");
+    const json core_results = make_core(core, shell, distance, sample, run.progress());
     if (!sample.surface_ior.empty())
       run.progress().warn(
           fmt::format("{}: its surface has refractive indices of its own; the shell carries them (surface_ior), but "
@@ -75,34 +155,16 @@ int main(int argc, char** argv) {
     const std::string view = view_path(run.output());
     write_ply(view, view_shell(mesh, shell));
     run.note_output(view);
-    run.results() = {
-        {"core", shell.core_interpolated ? "interpolated"
-                 : absorption.empty()    ? "bottom-layer"
-                                         : "coefficients"},
-        {"leaves", statistics.leaves},
-        {"possible_leaves", statistics.possible_leaves},
-        {"voxels", statistics.voxels},
-        {"free_space_voxels", statistics.free_voxels},
-        {"bytes", statistics.bytes},
-        {"dense_bytes", statistics.possible_leaves * 512 * 64},
-        {"skipped_share_of_leaves", 1 - static_cast<double>(statistics.leaves) / statistics.possible_leaves},
-        {"skipped_share_of_band", statistics.skipped_share},
-        {"coordinates", {{"kind", coordinates}}}};
-    std::string line =
-        fmt::format("{} voxels in {} of {} leaves", statistics.voxels, statistics.leaves, statistics.possible_leaves);
-    if (coordinates == "interpolated") {
-      run.results()["coordinates"] = {{"kind", coordinates},
-                                      {"incoherent_share", statistics.incoherent_share},
-                                      {"changed_share", statistics.changed_share},
-                                      {"reduced_extinction_rms", statistics.extinction_rms},
-                                      {"reduced_extinction_deviation", statistics.extinction_deviation},
-                                      {"reduced_albedo_rms", statistics.albedo_rms},
-                                      {"reduced_albedo_deviation", statistics.albedo_deviation}};
-      line += fmt::format(
-          "; against nearest vertices {:.0f} % are other voxels of the sample, by {:.3g} /mm in reduced "
-          "extinction, which deviates by {:.3g} /mm",
-          100 * statistics.changed_share, statistics.extinction_rms, statistics.extinction_deviation);
-    }
-    run.print(line);
+    run.results() = {{"core", core_results},
+                     {"leaves", s.leaves},
+                     {"possible_leaves", s.possible_leaves},
+                     {"voxels", s.voxels},
+                     {"free_space_voxels", s.free_voxels},
+                     {"bytes", s.bytes},
+                     {"dense_bytes", s.possible_leaves * 512 * 64},
+                     {"skipped_share_of_leaves", 1 - static_cast<double>(s.leaves) / s.possible_leaves},
+                     {"skipped_share_of_band", s.skipped_share},
+                     {"coordinates", coordinate_results(coordinates, s)}};
+    run.print(report(coordinates, s, core_results));
   });
 }

@@ -140,6 +140,11 @@ class PlanTest(unittest.TestCase):
         self.put_scene()
         self.assertEqual(self.remake()[:1], ["shell"])
         self.assertNotIn("--core interpolated", self.text("Makefile"))
+        self.content["material"]["core"] = "mean-value"
+        self.content["material"]["shell"]["coordinates"] = "nearest"
+        self.put_scene()
+        self.assertEqual(self.remake()[:1], ["shell"])
+        self.assertRegex(self.text("Makefile"), "--core mean-value.* --coordinates nearest")
 
     def test_an_opaque_object_needs_no_diffusion(self):
         self.content["material"] = {"opaque": {"reflectance": 0.7}}

@@ -325,10 +325,32 @@ class Chain(unittest.TestCase):
                       "--thickness", 2, "--core", "interpolated"]
             done = run(*inputs)
             self.assertEqual(done.returncode, 0, done.stderr)
-            self.assertEqual(record(out)["results"]["core"], "interpolated")
+            self.assertEqual(record(out)["results"]["core"], {"kind": "interpolated"})
             self.assertIn("interpolated", run("describe", out).stdout)
             self.refused(run(*inputs, "--core-absorption", "0.1,0.2,0.3", "--core-scattering", "1,1,1"), 2,
                          "--core interpolated")
+
+    def test_the_core_may_be_voxels_of_the_shells_file(self):
+        with workplace() as folder:
+            out, cut = os.path.join(folder, "shell.vdb"), os.path.join(folder, "cut.png")
+            inputs = ["shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb")]
+            interior = 4 / 3 * 3.14159 * 4 ** 3 / 0.5 ** 3
+            for kind in ("mean-value", "solid"):
+                done = run(*inputs, "-o", out, "--thickness", 2, "--core", kind)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                core = record(out)["results"]["core"]
+                self.assertEqual(core["kind"], kind)
+                self.assertAlmostEqual(core["voxels"] / interior, 1, delta=0.1)
+                first = read_bytes(out)
+                run(*inputs, "-o", out, "--thickness", 2, "--core", kind, "--threads", 1)
+                self.assertEqual(read_bytes(out), first)
+                self.assertEqual(run("describe", out, "-o", cut).returncode, 0)
+                self.assertEqual(read_bytes(cut)[:4], b"\x89PNG")
+            self.assertLess(core["step_to_shell_over_samples"], 0.7 * core["tilings_step_over_samples"])
+            self.assertEqual(run(*inputs, self.at("sample.vdb"), "-o", out, "--thickness", 2, "--core", "solid").returncode, 0)
+            self.assertEqual(read_bytes(out), first)
+            self.refused(run(*inputs, self.at("sample.vdb"), "-o", out), 2, "--core solid")
+            self.refused(run(*inputs, "-o", out, "--core-reach", 4), 2, "--core-reach")
 
     def test_the_papers_textons_work_too(self):
         with workplace() as folder:
