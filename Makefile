@@ -5,6 +5,9 @@
 #   make bench       run time against error, drawn (SG_LONG=1: larger problems, more repetitions)
 #   make geometry-report [MESHES=folder] [OUT=dir] [NODES=1e5] [LIMIT=n] [JOBS=1]
 #                    every mesh of libcgal-demo (and of a folder) up to its polygrid: a table and pictures
+#   make synthesis-report [MESHES=folder] [OUT=dir] [SAMPLES='name name'] [ONLY='name name']
+#                    samples of every source on bunny, armadillo, spot (of MESHES, else a shape of our own) and a genus-3
+#                    shape: pictures, time, memory, figures of quality, the default way beside the paper's
 #   make diffusion-map [OUT=dir]
 #                    the error of diffusion against sg-reference, a table and a picture (SG_LONG=1: all of it)
 #   make SCENE=path [OUT=dir] [image.png or any artefact of the scene; views; report]
@@ -30,7 +33,7 @@ export SCENE OUT MESHES
 ARTEFACTS := all views report image.png image.exr exitance.ply reference.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
   synthesized.ply textons.vdb sample.vdb distance.vdb surface.ply \
   polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
-.PHONY: setup configure build programs test demo bench geometry-report diffusion-map docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
+.PHONY: setup configure build programs test demo bench geometry-report synthesis-report diffusion-map docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:
 	@bash .ci/install-packages
@@ -113,6 +116,13 @@ geometry-report: programs
 	    --jobs $(if $(filter command,$(firstword $(origin JOBS))),$(JOBS),1) $(if $(ONLY),--only $(ONLY)) -- "$$folder/data/meshes" $${MESHES:+"$$MESHES"}; \
 	  code=$$?; [ -z "$$SG_LONG" ] || SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/cost_charts.py \
 	    "$$folder/data/meshes/bunny00.off" -o "$$out" || code=1; exit $$code
+
+# SAMPLES='name name': these of assets/samples, or descriptions of your own; ONLY='name name': these shapes.
+synthesis-report: programs
+	@out=$${OUT:-out/synthesis-report}; folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
+	  tar -xzf $(meshes) -C "$$folder" data/meshes && \
+	  SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/synthesis_report.py -o "$$out" \
+	    $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(ONLY),--meshes $(ONLY)) -- $${MESHES:+"$$MESHES"} "$$folder/data/meshes"
 
 # Sphere, plate and bunny by albedo, thickness and source. SG_LONG=1: finer grids, less noise, six albedos by five thicknesses.
 diffusion-map: programs assets/meshes/bunny00.off

@@ -21,7 +21,8 @@ TexturedMesh detach_texture(const AttributedMesh& mesh, const std::string& name)
 AttributedMesh view_sample(const MaterialSample& sample);
 // A slab with the appearance's first components as colours on top and textons below; quality: the texton's label.
 AttributedMesh view_textons(const TextonSet& textons);
-// The mesh, coloured by the shell voxel right below each vertex; quality: reduced extinction there (green), mm⁻¹.
+// The mesh, coloured by the first shell voxel with matter below each vertex, shaded by relief; quality: reduced
+// extinction there (green), mm⁻¹.
 AttributedMesh view_shell(const TexturedMesh& mesh, const ShellVolume& shell);
 
 }  // namespace shellgrid
