@@ -241,45 +241,30 @@ void load_parent_weights(const RunLevel& level, std::int32_t first, int count, P
 
 void coarsen_elements(const ElementLanes& children, const ParentWeights& weights, ElementLanes& parents) {
   for (int c = 0; c < 3; ++c) {
-    Float16Lanes m[8][8];
-    for (int a = 0; a < 8; ++a) m[a][a] = Float16Lanes{};
-    for (int a = 0; a < 8; ++a)
-      for (int b = a + 1; b < 8; ++b) {
-        const Float16Lanes value = children.coupling[c][pair_number(a, b)];
-        m[a][b] = m[b][a] = value;
-        m[a][a] -= value;
-        m[b][b] -= value;
-      }
     const auto& w = weights.weight[c];
-    Float16Lanes right[8][8];  // K P
-    for (int a = 0; a < 8; ++a)
-      for (int q = 0; q < 8; ++q) {
-        Float16Lanes sum = m[a][0] * w[0][q];
-        for (int b = 1; b < 8; ++b) sum += m[a][b] * w[b][q];
-        right[a][q] = sum;
-      }
-    for (int p = 0; p < 8; ++p)
-      for (int q = p + 1; q < 8; ++q) {
-        Float16Lanes sum = w[0][p] * right[0][q];
-        for (int a = 1; a < 8; ++a) sum += w[a][p] * right[a][q];
-        parents.coupling[c][pair_number(p, q)] = sum;
-      }
-    // As differences, which are zero where nothing is lost.
-    Float16Lanes sum[8], row[8];
+    const auto& own = children.coupling[c];
+    Float16Lanes sum[8];
     for (int a = 0; a < 8; ++a) {
       sum[a] = w[a][0];
       for (int p = 1; p < 8; ++p) sum[a] += w[a][p];
-      row[a] = Float16Lanes{};
     }
-    for (int a = 0; a < 8; ++a)
-      for (int b = a + 1; b < 8; ++b) {
-        const Float16Lanes flow = children.coupling[c][pair_number(a, b)] * (sum[a] - sum[b]);
-        row[a] += flow;
-        row[b] -= flow;
-      }
+    // What flows from the child's corners at a parent's corner's value 1, as differences: exact where nothing does.
     for (int p = 0; p < 8; ++p) {
-      parents.absorption[c][p] = w[0][p] * row[0];
-      for (int a = 1; a < 8; ++a) parents.absorption[c][p] += w[a][p] * row[a];
+      Float16Lanes flow[8] = {};
+      for (int a = 0; a < 8; ++a)
+        for (int b = a + 1; b < 8; ++b) {
+          const Float16Lanes part = own[pair_number(a, b)] * (w[a][p] - w[b][p]);
+          flow[a] += part;
+          flow[b] -= part;
+        }
+      for (int q = p + 1; q < 8; ++q) {
+        Float16Lanes coupling = w[0][q] * flow[0];
+        for (int a = 1; a < 8; ++a) coupling += w[a][q] * flow[a];
+        parents.coupling[c][pair_number(p, q)] = -coupling;
+      }
+      Float16Lanes lost = sum[0] * flow[0];
+      for (int a = 1; a < 8; ++a) lost += sum[a] * flow[a];
+      parents.absorption[c][p] = lost;
     }
   }
 }

@@ -145,7 +145,8 @@ std::size_t DiffusionSolver::sweep_bytes() const {
 }
 
 std::size_t DiffusionSolver::memory_bytes() const {
-  std::size_t bytes = fine_.cell.size() * 4 + fine_.position.bytes() + patches_.bytes();
+  std::size_t bytes = fine_.cell.size() * 4 + fine_.position.bytes();
+  for (const PatchCorrection& patches : patches_) bytes += patches.bytes();
   for (const RunLevel& l : levels_) {
     bytes += l.half.bytes() + l.single.bytes() + l.layout.links.size() * sizeof(RunLink) + l.layout.size() * 8 +
              l.layout.unknown_of.size() * 4 + l.inverse.bytes() + l.halved.bytes() + l.surface.size() * 12 * 16 +

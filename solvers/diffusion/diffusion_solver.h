@@ -139,7 +139,7 @@ class DiffusionSolver {
   double boundary_factor_ = 1, current_reflectance_ = 0;
   double contrast_ = 1;
   bool has_material_ = false;
-  PatchCorrection patches_;  // of the finest level
+  std::vector<PatchCorrection> patches_;  // of each level
   std::array<Eigen::LDLT<Eigen::MatrixXd>, 3> coarsest_;
   bool direct_ = false;
 

@@ -3,6 +3,8 @@
 
 #include <Eigen/Geometry>
 
+#include "solvers/diffusion/divided_cell.h"
+
 namespace shellgrid {
 namespace {
 
@@ -64,6 +66,26 @@ void lift_axis(Float4 (&m)[size][size], int bit, const AxisWeights& weights) {
     }
 }
 
+// Replaces the elements of those cells whose octants conduct too differently.
+void divide_rough_cells(const Lanes (&metric)[8][6], const Lanes (&volume)[8], const CellLanes& cells, int channel,
+                        ElementLanes& elements) {
+  const Lanes(&diffusion)[8] = cells.diffusion[channel];
+  Lanes least = diffusion[0], greatest = diffusion[0];
+  for (int q = 1; q < 8; ++q) {
+    least = least < diffusion[q] ? least : diffusion[q];
+    greatest = greatest > diffusion[q] ? greatest : diffusion[q];
+  }
+  const auto rough = greatest > divided_contrast * least;
+  bool any = false;
+  for (int i = 0; i < 16; ++i) any = any || rough[i];
+  if (!any) return;
+  Lanes loss[8], coupling[28], absorption[8];
+  for (int q = 0; q < 8; ++q) loss[q] = cells.absorption[channel][q] * volume[q];
+  divided_element(metric, diffusion, loss, coupling, absorption);
+  for (int k = 0; k < 28; ++k) elements.coupling[channel][k] = rough ? coupling[k] : elements.coupling[channel][k];
+  for (int a = 0; a < 8; ++a) elements.absorption[channel][a] = rough ? absorption[a] : elements.absorption[channel][a];
+}
+
 }  // namespace
 
 void core_elements(const CellLanes& cells, ElementLanes& elements) {
@@ -78,6 +100,7 @@ void core_elements(const CellLanes& cells, ElementLanes& elements) {
       const int low = ((k & 1) << (axis + 1) % 3) | ((k >> 1) << (axis + 2) % 3);
       for (int d = 0; d < 3; ++d) edge[axis][k][d] = cells.corner[low | 1 << axis][d] - cells.corner[low][d];
     }
+  Lanes octant_metric[8][6], volume[8];
   for (int q = 0; q < 8; ++q) {
     Lanes j[3][3];  // ∂x_d / ∂ξ_axis
     for (int axis = 0; axis < 3; ++axis) {
@@ -100,6 +123,10 @@ void core_elements(const CellLanes& cells, ElementLanes& elements) {
       for (int l = k; l < 3; ++l)
         metric[k][l] = metric[l][k] = share * (cofactor[k][0] * cofactor[l][0] + cofactor[k][1] * cofactor[l][1] +
                                                cofactor[k][2] * cofactor[l][2]);
+    for (int k = 0; k < 3; ++k) octant_metric[q][k] = metric[k][k];
+    octant_metric[q][3] = metric[0][1];
+    octant_metric[q][4] = metric[0][2];
+    octant_metric[q][5] = metric[1][2];
     // ∇h_a·∇h_b det J / 8 once for the three channels.
     Lanes flux[8][3];
     for (int b = 0; b < 8; ++b)
@@ -112,12 +139,13 @@ void core_elements(const CellLanes& cells, ElementLanes& elements) {
                               gauss.gradient[q][a][2] * flux[b][2];
         for (int c = 0; c < 3; ++c) elements.coupling[c][pair_number(a, b)] -= cells.diffusion[c][q] * product;
       }
-    const Lanes volume = 0.125f * determinant;
+    volume[q] = 0.125f * determinant;
     for (int c = 0; c < 3; ++c) {
-      const Lanes loss = cells.absorption[c][q] * volume;
+      const Lanes loss = cells.absorption[c][q] * volume[q];
       for (int a = 0; a < 8; ++a) elements.absorption[c][a] += gauss.value[q][a] * loss;
     }
   }
+  for (int c = 0; c < 3; ++c) divide_rough_cells(octant_metric, volume, cells, c, elements);
 }
 
 void coarsen_elements(const ElementLanes& children, const std::uint8_t* octant, int count, ElementLanes& parents) {

@@ -641,13 +641,18 @@ SurfaceTerms assemble_levels(const Polygrid& polygrid, const CellCoefficients& c
     }
     elements = std::move(coarse_elements);
     boundary = std::move(elements.boundary);
-    store_half(level, one_copy ? &ratio : nullptr);
+    // Coarse couplings of rough materials have both signs, and what is left of their sums does not stand rounding.
+    if (options.box_transfer && l > 0)
+      level.half = {};
+    else
+      store_half(level, one_copy ? &ratio : nullptr);
     if (box)
       drop_gains(levels[l + 1].reaction, levels[l + 1].inner_size());
     else if (has_coarse)
       restrict_terms(level, levels[l + 1]);
     prepare_smoother(level);
-    if (!options.keep_single && level.single.values.size() * sizeof(float) > largest_kept) level.single = {};
+    if (level.half && !options.keep_single && level.single.values.size() * sizeof(float) > largest_kept)
+      level.single = {};
   }
   return terms;
 }

@@ -12,12 +12,9 @@
 namespace shellgrid {
 namespace {
 
-constexpr int relaxations = 8;         // sweeps that find slow points
-constexpr float damping = 0.9f;        // of them; the smoother's spectrum ends below 2
-constexpr float slow = 0.06f;          // of values that began in (−1, 1): what is left where points are slow
-constexpr double most_slow = 0.0012;   // share of the level's points, or
-constexpr std::size_t always = 200;    // so many
-constexpr std::size_t most_seeds = 8;  // slow points of one patch
+constexpr int relaxations = 8;       // sweeps that find slow points
+constexpr float damping = 0.9f;      // of them; the smoother's spectrum ends below 2
+constexpr std::size_t always = 200;  // slow points, whatever their share
 
 float read(float value) { return value; }
 float read(Half value) {
@@ -126,7 +123,7 @@ void clear_coarse_points(RunLevel& level) {
 }
 
 // Inner unknowns that are slow themselves, or the outer point above them.
-std::vector<std::int32_t> slow_points(RunLevel& level) {
+std::vector<std::int32_t> slow_points(RunLevel& level, const PatchLimits& limits) {
   const std::size_t inner = level.inner_size(), outer = level.surface.size();
   const auto start = [](std::size_t i, int channel) {
     return static_cast<float>(2 * to_unit(hash64(static_cast<std::uint64_t>(channel), i)) - 1);
@@ -154,9 +151,9 @@ std::vector<std::int32_t> slow_points(RunLevel& level) {
     for (int c = 0; c < 3; ++c) size = std::max(size, std::abs(level.x.inner[c][u]));
     if (static_cast<std::size_t>(s) < outer && level.surface.twin[s] == static_cast<std::int32_t>(u))
       size = std::max(size, greatest(level.x.outer[s++]));
-    if (size > slow) found.emplace_back(-size, static_cast<std::int32_t>(u));
+    if (size > limits.slow) found.emplace_back(-size, static_cast<std::int32_t>(u));
   }
-  const std::size_t most = std::max(always, static_cast<std::size_t>(most_slow * static_cast<double>(inner)));
+  const std::size_t most = std::max(always, static_cast<std::size_t>(limits.share * static_cast<double>(inner)));
   if (found.size() > most) {
     std::sort(found.begin(), found.end());
     found.resize(most);
@@ -169,7 +166,8 @@ std::vector<std::int32_t> slow_points(RunLevel& level) {
 }
 
 // Neighbouring slow points together, not too many at once.
-std::vector<std::vector<std::int32_t>> gather_seeds(const RunLevel& level, const std::vector<std::int32_t>& slow_ones) {
+std::vector<std::vector<std::int32_t>> gather_seeds(const RunLevel& level, const std::vector<std::int32_t>& slow_ones,
+                                                    std::size_t most_seeds) {
   const auto inner = static_cast<std::int32_t>(level.inner_size());
   std::vector<std::vector<std::int32_t>> groups;
   std::vector<char> taken(slow_ones.size(), 0);
@@ -192,10 +190,10 @@ std::vector<std::vector<std::int32_t>> gather_seeds(const RunLevel& level, const
 
 }  // namespace
 
-void PatchCorrection::prepare(RunLevel& level) {
+void PatchCorrection::prepare(RunLevel& level, const PatchLimits& limits) {
   *this = {};
   if (level.transfer.empty()) return;
-  const std::vector<std::vector<std::int32_t>> groups = gather_seeds(level, slow_points(level));
+  const std::vector<std::vector<std::int32_t>> groups = gather_seeds(level, slow_points(level, limits), limits.seeds);
   if (groups.empty()) return;
   const auto inner = static_cast<std::int32_t>(level.inner_size());
   std::vector<char> frozen;

@@ -10,6 +10,15 @@
 
 namespace shellgrid {
 
+// Which points have patches.
+struct PatchLimits {
+  float slow = 0.06f;     // of values that began in (−1, 1): what eight sweeps leave where points are slow
+  double share = 0.0012;  // of the level's points that may be slow ones, the slowest first; 200 always may
+  std::size_t seeds = 8;  // slow points of one patch
+};
+// Materials with jumps leave pockets and threads without coarse points, on all levels.
+inline constexpr PatchLimits rough_patches{0.15f, 0.01, 32};
+
 // Points are found by compatible relaxation: what smoothing does not damp with the coarse level's points held at zero,
 // the coarse level does not represent. Source: [Brandt2000 §3].
 class PatchCorrection {
@@ -18,7 +27,7 @@ class PatchCorrection {
 
   // Finds the level's slow points with its present couplings, and factors the patches around them. Uses the level's
   // vectors. Points on the coarsest level have no patches.
-  void prepare(RunLevel& level);
+  void prepare(RunLevel& level, const PatchLimits& limits = {});
 
   // x ← x + what solves each patch for right_side − A x, patch by patch; `backward`: in the reverse order, which makes
   // the two orders each other's transposes. `inner_light`: whether the right-hand side has inner parts.

@@ -10,6 +10,7 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/polycube/polygrid_hierarchy.h"
+#include "solvers/diffusion/divided_cell.h"
 #include "solvers/diffusion/trilinear_cell.h"
 #include "solvers/scattering/fresnel.h"
 
@@ -90,6 +91,40 @@ double check_cells(const Polygrid& polygrid) {
   return finding.volume;
 }
 
+bool is_divided(const Rgb* reduced_extinction, int channel) {
+  float least = reduced_extinction[0][channel], greatest = least;
+  for (int q = 1; q < 8; ++q) {
+    least = std::min(least, reduced_extinction[q][channel]);
+    greatest = std::max(greatest, reduced_extinction[q][channel]);
+  }
+  return greatest > divided_contrast * least;
+}
+
+// Replaces what the trilinear element has for one channel.
+void divide_element(const CellCorners& x, const Rgb* absorption, const Rgb* reduced_extinction, int channel,
+                    ElementTerms& terms) {
+  constexpr int vtk_of_bits[8] = {0, 1, 3, 2, 4, 5, 7, 6};
+  double metric[8][6], diffusion[8], loss[8], coupling[28], absorbed[8];
+  for (int q = 0; q < 8; ++q) {
+    const int corner = vtk_of_bits[q];
+    const Mat3 j = jacobian(x, TrilinearQuadrature::instance().gauss[corner]);
+    const Mat3 inverse = j.inverse();
+    const double volume = j.determinant() / 8;
+    const Mat3 m = volume * inverse.transpose() * inverse;
+    const double entries[6] = {m(0, 0), m(1, 1), m(2, 2), m(0, 1), m(0, 2), m(1, 2)};
+    std::copy(entries, entries + 6, metric[q]);
+    diffusion[q] = 1 / (3.0 * reduced_extinction[corner][channel]);
+    loss[q] = volume * absorption[corner][channel];
+  }
+  divided_element(metric, diffusion, loss, coupling, absorbed);
+  int pair = 0;
+  for (int a = 0; a < 8; ++a) {
+    terms.absorption[vtk_of_bits[a]][channel] = static_cast<float>(absorbed[a]);
+    for (int b = a + 1; b < 8; ++b, ++pair)
+      terms.coupling[pairs.number[vtk_of_bits[a]][vtk_of_bits[b]]][channel] = static_cast<float>(coupling[pair]);
+  }
+}
+
 ElementTerms core_element(const CellCorners& x, const Rgb* absorption, const Rgb* reduced_extinction) {
   ElementTerms terms{};
   for (int q = 0; q < 8; ++q) {
@@ -105,6 +140,8 @@ ElementTerms core_element(const CellCorners& x, const Rgb* absorption, const Rgb
           diffusion * static_cast<float>(gradient.row(pairs.first[n]).dot(gradient.row(pairs.second[n])));
     for (int a = 0; a < 8; ++a) terms.absorption[a] += loss * static_cast<float>(shape.value[a]);
   }
+  for (int c = 0; c < 3; ++c)
+    if (is_divided(reduced_extinction, c)) divide_element(x, absorption, reduced_extinction, c, terms);
   return terms;
 }
 
