@@ -31,7 +31,11 @@ void store_material(MaterialSample& sample, std::size_t index, const Material& m
 Material mix_like_stains(const Material& a, const Material& b, double share) {
   const float w = static_cast<float>(share);
   const Rgb least = Rgb::Constant(1e-6f);
-  const Rgb absorption = (a.absorption().max(least).log() * (1 - w) + b.absorption().max(least).log() * w).exp();
+  const Rgb from = a.absorption(), to = b.absorption();
+  Rgb absorption = (from.max(least).log() * (1 - w) + to.max(least).log() * w).exp();
+  // What does not absorb stays so; mixed with what does it counts as the least absorption.
+  for (int c = 0; c < 3; ++c)
+    if ((from[c] == 0 || w >= 1) && (to[c] == 0 || w <= 0)) absorption[c] = 0;
   const Rgb scattering = a.scattering() * (1 - w) + b.scattering() * w;
   return Material::from_absorption_scattering(absorption, scattering, a.anisotropy * (1 - w) + b.anisotropy * w);
 }

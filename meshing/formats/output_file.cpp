@@ -16,9 +16,11 @@
 #include <filesystem>
 #include <fstream>
 #include <memory>
+#include <mutex>
 #include <vector>
 
 #include "meshing/core/error.h"
+#include "meshing/formats/output_set.h"
 
 namespace shellgrid {
 namespace {
@@ -124,12 +126,102 @@ void remove_orphans(const fs::path& folder, const std::string& prefix) {
   }
 }
 
+// A file that is written and synced, and where it is to go.
+struct Written {
+  fs::path temporary, target;
+  std::string shown;  // as the caller calls it
+
+  void publish() const {
+    const fs::path folder = target.parent_path().empty() ? fs::path(".") : target.parent_path();
+    std::error_code error;
+    if (fs::exists(target, error) && same_bytes(temporary.string(), target.string())) {
+      fs::remove(temporary, error);
+      return;
+    }
+    if (::rename(temporary.c_str(), target.c_str()) != 0) fail(shown, "cannot be written", errno);
+    sync(folder.string(), shown);
+  }
+  void discard() const {
+    std::error_code ignored;
+    fs::remove(temporary, ignored);
+  }
+};
+
+// The files of the process's output set.
+struct PendingOutputs {
+  std::mutex mutex;
+  bool collecting = false;
+  std::vector<Written> files;
+};
+PendingOutputs& pending_outputs() {
+  static PendingOutputs pending;
+  return pending;
+}
+thread_local int asides = 0;
+
+// True where it is kept for an output set. Of two for one place the later one counts.
+bool keep_pending(const Written& written) {
+  PendingOutputs& pending = pending_outputs();
+  const std::lock_guard lock(pending.mutex);
+  if (!pending.collecting || asides > 0) return false;
+  for (Written& file : pending.files)
+    if (file.target == written.target) {
+      file.discard();
+      file = written;
+      return true;
+    }
+  pending.files.push_back(written);
+  return true;
+}
+
+// The file that a name stands for.
+fs::path resolved(const std::string& path) {
+  std::error_code error;
+  const fs::path target(path);
+  return fs::is_symlink(target, error) ? fs::weakly_canonical(target, error) : target;
+}
+
 }  // namespace
+
+OutputSet::OutputSet() {
+  PendingOutputs& pending = pending_outputs();
+  const std::lock_guard lock(pending.mutex);
+  if (pending.collecting) throw InternalError("two output sets at a time");
+  pending.collecting = true;
+}
+
+OutputSet::~OutputSet() {
+  PendingOutputs& pending = pending_outputs();
+  const std::lock_guard lock(pending.mutex);
+  for (const Written& file : pending.files) file.discard();
+  pending.files.clear();
+  pending.collecting = false;
+}
+
+void OutputSet::publish() {
+  PendingOutputs& pending = pending_outputs();
+  const std::lock_guard lock(pending.mutex);
+  while (!pending.files.empty()) {
+    pending.files.front().publish();
+    pending.files.erase(pending.files.begin());
+  }
+}
+
+std::string OutputSet::present_path(const std::string& path) {
+  PendingOutputs& pending = pending_outputs();
+  const std::lock_guard lock(pending.mutex);
+  const fs::path target = resolved(path);
+  for (const Written& file : pending.files)
+    if (file.target == target) return file.temporary.string();
+  return path;
+}
+
+OutputSet::Aside::Aside() { ++asides; }
+OutputSet::Aside::~Aside() { --asides; }
 
 void write_atomically(const std::string& path, const std::function<void(const std::string&)>& write) {
   std::error_code error;
-  fs::path target(path);
-  if (fs::is_symlink(target, error)) target = fs::weakly_canonical(target, error);
+  const fs::path target = resolved(path);
   if (target.filename().empty() || fs::is_directory(target, error))
     throw InputError(path + ": cannot be written: it is a folder");
   const bool exists = fs::exists(target, error);
@@ -153,16 +245,12 @@ void write_atomically(const std::string& path, const std::function<void(const st
     }
     write(temporary.string());
     sync(temporary.string(), path);
-    if (exists && same_bytes(temporary.string(), target.string())) {
-      fs::remove(temporary, error);
-      return;
-    }
-    if (::rename(temporary.c_str(), target.c_str()) != 0) fail(path, "cannot be written", errno);
+    const Written written{temporary, target, path};
+    if (!keep_pending(written)) written.publish();
   } catch (...) {
     fs::remove(temporary, error);
     throw;
   }
-  sync(folder.string(), path);
 }
 
 void write_text_atomically(const std::string& path, const std::string& text) {

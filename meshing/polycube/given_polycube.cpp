@@ -229,10 +229,16 @@ GivenPolycube place_given_polycube(const CubeList& list, const TriangleMesh& sur
   if (!(frame.edge > 0) || !std::isfinite(frame.edge)) throw InputError("the object's bounding box is flat");
   result.covered = overlap.covered;
   result.overlap = overlap.common;
-  if (overlap.covered < least_covered)
+  if (overlap.covered < least_covered) {
+    const bool given = options.edge || options.origin, over_box = !given && result.placement == CubePlacement::box;
     throw InputError("the cubes hold " + std::to_string(std::lround(100 * overlap.covered)) +
-                     " % of the object's volume; expected a polycube that roughly follows the object (--place box "
-                     "lays it over the object's bounding box)");
+                     " % of the object's volume" + (over_box ? " even over its bounding box" : "") +
+                     "; expected a polycube that roughly follows the object (" +
+                     (over_box ? "--origin and --edge lay it elsewhere"
+                      : given  ? "without --origin and --edge it is laid over the object's bounding box"
+                               : "--place box lays it over the object's bounding box") +
+                     ")");
+  }
 
   VoxelPolycube& polycube = result.polycube;
   const double count = static_cast<double>(cubes.size());

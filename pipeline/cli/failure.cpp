@@ -4,12 +4,14 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstdlib>
 #include <filesystem>
 #include <memory>
 #include <new>
 #include <system_error>
+#include <vector>
 
 #include "meshing/core/error.h"
 #include "pipeline/cli/nearest_name.h"
@@ -79,6 +81,38 @@ void say(const std::string& line) {
   ::_exit(code);
 }
 
+// A history of many numbers as its first and last few.
+std::string shortened(const std::string& text) {
+  constexpr std::size_t most = 9, shown = 3;
+  const auto is_number = [](const std::string& word) {
+    if (word.empty()) return false;
+    char* end = nullptr;
+    std::strtod(word.c_str(), &end);
+    return *end == '\0';
+  };
+  std::vector<std::string> words;
+  for (std::size_t at = 0; at <= text.size();) {
+    const std::size_t end = std::min(text.find(' ', at), text.size());
+    words.push_back(text.substr(at, end - at));
+    at = end + 1;
+  }
+  std::vector<std::string> kept;
+  for (std::size_t i = 0; i < words.size();) {
+    std::size_t end = i;
+    while (end < words.size() && is_number(words[end])) ++end;
+    if (end - i <= most) {
+      end = std::max(end, i + 1);
+      kept.insert(kept.end(), words.begin() + i, words.begin() + end);
+    } else {
+      kept.insert(kept.end(), words.begin() + i, words.begin() + i + shown);
+      kept.push_back(fmt::format("… ({} in all) …", end - i));
+      kept.insert(kept.end(), words.begin() + end - shown, words.begin() + end);
+    }
+    i = end;
+  }
+  return fmt::format("{}", fmt::join(kept, " "));
+}
+
 }  // namespace
 
 Failure describe_failure(const std::string& program, const std::exception_ptr& error) {
@@ -96,7 +130,7 @@ Failure describe_failure(const std::string& program, const std::exception_ptr& e
   } catch (const InputError& input) {
     return failure(3, input.what());
   } catch (const NumericalError& numerical) {
-    return failure(4, numerical.what());
+    return failure(4, shortened(numerical.what()));
   } catch (const std::filesystem::filesystem_error& file) {
     return failure(3, file.what());
   } catch (const std::exception& other) {

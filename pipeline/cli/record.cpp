@@ -10,6 +10,7 @@
 #include <limits>
 
 #include "meshing/formats/output_file.h"
+#include "meshing/formats/output_set.h"
 
 namespace shellgrid {
 namespace {
@@ -43,7 +44,8 @@ nlohmann::ordered_json PartTimer::seconds() const {
 }
 
 nlohmann::ordered_json describe_file(const std::string& path) {
-  nlohmann::ordered_json file = {{"path", path}, {"bytes", file_size(path)}, {"xxh64", hash_file(path)}};
+  const std::string now = OutputSet::present_path(path);
+  nlohmann::ordered_json file = {{"path", path}, {"bytes", file_size(now)}, {"xxh64", hash_file(now)}};
   std::error_code error;
   if (std::filesystem::is_symlink(path, error)) {
     const std::filesystem::path target = std::filesystem::read_symlink(path, error);

@@ -13,9 +13,11 @@
 #include <deque>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/output_file.h"
+#include "meshing/formats/output_set.h"
 #include "pipeline/cli/console_progress.h"
 #include "pipeline/cli/failure.h"
 #include "pipeline/cli/nearest_name.h"
@@ -31,8 +33,11 @@ using json = nlohmann::ordered_json;
 
 bool is_set(const std::string& path) { return !path.empty(); }
 
+// Where the file lies, or what a link of this name stands for.
 fs::path folder_of(const std::string& path) {
-  const fs::path parent = fs::path(path).parent_path();
+  std::error_code error;
+  const fs::path parent =
+      (fs::is_symlink(path, error) ? fs::weakly_canonical(path, error) : fs::path(path)).parent_path();
   return parent.empty() ? fs::path(".") : parent;
 }
 
@@ -412,6 +417,9 @@ int StageProgram::Impl::execute(const std::vector<std::string>& arguments, const
   run.thread_count = threads > 0 ? threads : oneapi::tbb::info::default_concurrency();
   const oneapi::tbb::global_control limit(oneapi::tbb::global_control::max_allowed_parallelism,
                                           static_cast<std::size_t>(run.thread_count));
+  // A stage's outputs and its record appear together, or none of them. What goes into a folder is read there again.
+  std::optional<OutputSet> outputs;
+  if (records) outputs.emplace();
   body(run);
   run.timer.stop();
   run.clear_progress();
@@ -420,6 +428,10 @@ int StageProgram::Impl::execute(const std::vector<std::string>& arguments, const
     std::vector<json> inputs;
     for (const std::string& path : input_paths()) inputs.push_back(describe_file(path));
     write_record(run, arguments, std::move(inputs));
+  }
+  if (outputs) {
+    const UnbrokenPart to_the_end;
+    outputs->publish();
   }
   if (std::fflush(stdout) != 0 || std::ferror(stdout)) throw InputError("standard output: cannot be written");
   return run.exit_code;

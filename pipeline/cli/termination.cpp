@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <filesystem>
+#include <mutex>
 #include <string>
 #include <thread>
 
@@ -13,8 +14,16 @@ namespace shellgrid {
 namespace {
 
 std::atomic<bool> held{false}, asked{false};
+// Of what must not be broken off.
+std::mutex& unbroken() {
+  static std::mutex mutex;
+  return mutex;
+}
 
 }  // namespace
+
+UnbrokenPart::UnbrokenPart() { unbroken().lock(); }
+UnbrokenPart::~UnbrokenPart() { unbroken().unlock(); }
 
 void hold_termination() { held = true; }
 bool termination_asked() { return asked; }
@@ -40,6 +49,7 @@ void clean_up_on_termination(const std::vector<std::string>& folders) {
     do {
       if (sigwait(&signals, &number) != 0) return;
     } while (held && number != SIGHUP && !asked.exchange(true));
+    unbroken().lock();
     remove_half_written_files(folders);
     signal(number, SIG_DFL);
     pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);

@@ -14,6 +14,15 @@ void clean_up_on_termination(const std::vector<std::string>& folders);
 void hold_termination();
 bool termination_asked();
 
+// While one lives, a signal that would end the process waits.
+class UnbrokenPart {
+ public:
+  UnbrokenPart();
+  ~UnbrokenPart();
+  UnbrokenPart(const UnbrokenPart&) = delete;
+  UnbrokenPart& operator=(const UnbrokenPart&) = delete;
+};
+
 // Removes this process's half-written files from `folders`.
 void remove_half_written_files(const std::vector<std::string>& folders);
 

@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "pipeline/scene/scene_checks.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 
 #include "meshing/core/error.h"
+#include "meshing/polycube/polygrid_fit.h"
+#include "meshing/shell/shell_fit.h"
 
 namespace shellgrid {
 namespace {
@@ -28,12 +32,30 @@ bool shines(const EnvironmentLight& light) {
   return shines(most * light.scale);
 }
 
+// Of a voxel's or a cell's width.
+constexpr double noticeable = 0.02, foreign = 0.25;
+
+void judge_misfit(double misfit, double width, const std::string& path, const std::string& surface_path,
+                  const std::string& what, Progress& progress) {
+  if (misfit > foreign * width)
+    throw InputError(fmt::format("{}: is not of the surface {}: {} {:.3g} mm off it; make both from one surface", path,
+                                 surface_path, what, misfit));
+  if (misfit > noticeable * width)
+    progress.warn(
+        fmt::format("{} may be of another surface than {}: {} {:.3g} mm off it", path, surface_path, what, misfit));
+}
+
 }  // namespace
 
 bool is_dark(const Scene& scene) {
   return std::none_of(scene.lights.begin(), scene.lights.end(), [](const Light& light) {
     return std::visit([](const auto& of_its_kind) { return shines(of_its_kind); }, light);
   });
+}
+
+bool has_environment(const Scene& scene) {
+  return std::any_of(scene.lights.begin(), scene.lights.end(),
+                     [](const Light& light) { return std::holds_alternative<EnvironmentLight>(light); });
 }
 
 void warn_of_darkness(const Scene& scene, Progress& progress) {
@@ -50,6 +72,18 @@ void require_scattering(const Scene& scene) {
       throw InputError(scene.path + ": material.core.scattering is 0 in " + colour[c] +
                        ": diffusion is a model of light that is scattered; sg-reference (or method.type path-tracing) "
                        "follows it through clear and purely absorbing matter");
+}
+
+void require_same_object(const ShellVolume& shell, const std::string& shell_path, const TriangleMesh& surface,
+                         const std::string& surface_path, Progress& progress) {
+  judge_misfit(naming(surface_path, [&] { return shell_misfit(shell, surface); }), shell.frame.voxel, shell_path,
+               surface_path, "its voxels' depths are", progress);
+}
+
+void require_same_object(const Polygrid& polygrid, const std::string& polygrid_path, const TriangleMesh& surface,
+                         const std::string& surface_path, Progress& progress) {
+  judge_misfit(naming(surface_path, [&] { return polygrid_misfit(polygrid, surface); }), polygrid.spacing,
+               polygrid_path, surface_path, "half of its outer points are", progress);
 }
 
 }  // namespace shellgrid

@@ -2,6 +2,8 @@
 // What stages ask of a scene beyond its values.
 #pragma once
 #include "meshing/core/progress.h"
+#include "meshing/polycube/polygrid.h"
+#include "meshing/shell/shell_volume.h"
 #include "pipeline/scene/scene.h"
 
 namespace shellgrid {
@@ -9,10 +11,20 @@ namespace shellgrid {
 // Whether no light shines: there is none, or all that there are have no power. Such a scene is legal: all is black.
 bool is_dark(const Scene& scene);
 
+bool has_environment(const Scene& scene);
+
 inline constexpr const char* darkness_warning = "no light shines in this scene: the object is black";
 void warn_of_darkness(const Scene& scene, Progress& progress);
 
 // Throws: InputError where a homogeneous object does not scatter in some channel, where diffusion has nothing to say.
 void require_scattering(const Scene& scene);
+
+// Whether a shell, a polygrid belongs to a surface, by their places: files of any origin can be asked. Where they are a
+// little apart, as of another triangulation of the same surface, a warning. Throws: InputError naming both files where
+// they are more.
+void require_same_object(const ShellVolume& shell, const std::string& shell_path, const TriangleMesh& surface,
+                         const std::string& surface_path, Progress& progress);
+void require_same_object(const Polygrid& polygrid, const std::string& polygrid_path, const TriangleMesh& surface,
+                         const std::string& surface_path, Progress& progress);
 
 }  // namespace shellgrid

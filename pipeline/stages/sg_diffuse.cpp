@@ -7,6 +7,7 @@
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "meshing/formats/vtkhdf_file.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
@@ -16,6 +17,8 @@
 using namespace shellgrid;
 
 namespace {
+
+constexpr double least_tolerance = 1e-12;
 
 UnstructuredGrid fluence_grid(const Polygrid& polygrid, const std::vector<Rgb>& fluence) {
   UnstructuredGrid grid;
@@ -113,12 +116,19 @@ Material core_material(const Scene& scene) {
 
 // Refuses options that have no meaning for this operator and source.
 void check_operator_options(const StageProgram& program, const std::string& operator_name,
-                            const std::string& paper_solver, const std::string& source) {
+                            const std::string& paper_solver, const std::string& source, const Scene& scene) {
   const bool paper = operator_name == "paper";
   program.refuse_unless(paper, "the operator paper", {"--paper-solver"});
   program.refuse_unless(paper && paper_solver == "adaptive", "--paper-solver adaptive", {"--paper-depths"});
   program.refuse_unless(!paper, "the operator elements", {"--whole-grid", "--initial"});
   program.refuse_unless(source == "first-collision", "the source first-collision", {"--beam-samples"});
+  program.refuse_unless(has_environment(scene), "a scene with an environment light",
+                        {"--environment-samples", "--beam-samples"});
+  if (paper && source == "first-collision") {
+    const std::string what = "the source first-collision goes with the operator elements only";
+    if (program.given("--operator") || program.given("--source")) throw UsageError(what);
+    throw InputError(scene.path + ": " + what);
+  }
 }
 
 }  // namespace
@@ -157,7 +167,8 @@ int main(int argc, char** argv) {
   bool whole_grid = false;
   program.flag("--whole-grid", whole_grid,
                "solve for every node; else deep cells stand for their children where the tolerance allows");
-  program.option("--tolerance", tolerance, "", "relative error of the exitance; 0: the scene's", 0, 0.5);
+  program.option("--tolerance", tolerance, "", "relative error of the exitance, 1e-12 and more; 0: the scene's", 0,
+                 0.5);
   program.option("--environment-samples", options.environment_samples, "",
                  "parallel lights that stand for an environment", 1, 65536);
   program.option("--beam-samples", options.beam_samples, "",
@@ -172,11 +183,17 @@ int main(int argc, char** argv) {
         read_polygrid(polygrid_path, options.operator_name == "paper" ? PolygridParts::all : PolygridParts::cells);
     const TriangleMesh surface = read_mesh(surface_path).mesh;
     ShellVolume shell;
-    if (!shell_path.empty()) shell = read_shell_volume(shell_path);
+    require_same_object(polygrid, polygrid_path, surface, surface_path, run.progress());
+    if (!shell_path.empty()) {
+      shell = read_shell_volume(shell_path);
+      require_same_object(shell, shell_path, surface, surface_path, run.progress());
+    }
     options.adaptive = !whole_grid;
     options.source = source == "scene" ? scene.method.source : source;
+    if (tolerance > 0 && tolerance < least_tolerance)
+      throw UsageError(fmt::format("--tolerance {:g}: below {:g} rounding decides", tolerance, least_tolerance));
     options.tolerance = tolerance > 0 ? tolerance : scene.method.tolerance;
-    check_operator_options(program, options.operator_name, options.paper_solver, options.source);
+    check_operator_options(program, options.operator_name, options.paper_solver, options.source, scene);
     options.paper_depths.assign(depths.begin(), depths.end());
     if (!initial_path.empty()) options.initial = read_fluence(initial_path, polygrid.points.rows());
     std::variant<const ShellVolume*, Material> material = &shell;

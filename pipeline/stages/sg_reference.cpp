@@ -11,6 +11,7 @@
 #include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/output_file.h"
+#include "meshing/formats/output_set.h"
 #include "meshing/formats/vdb_file.h"
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
@@ -175,7 +176,10 @@ struct Campaign {
     if (limits.paths > 0 && static_cast<double>(first) > limits.paths)
       run.progress().warn(fmt::format("{} holds {} paths already: the result is that of them all, not of {:.0f}",
                                       state_path, first, limits.paths));
-    const auto save = [&](const PathState& now) { write_path_state(state_path, fingerprint, now); };
+    const auto save = [&](const PathState& now) {
+      const OutputSet::Aside at_once;
+      write_path_state(state_path, fingerprint, now);
+    };
     PathLimits held = limits;
     held.interrupted = run.hold_interrupts();
     const auto checkpoint = state_path.empty() ? std::function<void(const PathState&)>() : save;
@@ -280,6 +284,7 @@ TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const
                              scene.object ? scene.object->ior : SceneObject{}.ior);
     });
   const ShellVolume shell = read_shell_volume(inputs.shell);
+  require_same_object(shell, inputs.shell, mesh, inputs.surface, run.progress());
   TransportObject object =
       naming(inputs.shell, [&] { return TransportObject(mesh, shell, scene.object ? scene.object->ior : shell.ior); });
   const LeafMethodCounts& leaves = std::get<ShellMedium>(object.medium()).methods();

@@ -245,7 +245,7 @@ PointFields solve_paper(const Polygrid& polygrid, const CellCoefficients& coeffi
   if (options.paper_solver == "jacobi") levels = {};
   const PaperSolution solution = solve_paper_operator(polygrid.graph, problem, levels);
   result.solve.iterations = solution.iterations;
-  result.solve.tolerance = problem.tolerance;
+  result.solve.tolerance = options.tolerance;
   result.solve.residual_history = solution.residual_history;
   result.solve.estimated_error = solution.residual;
   result.solve.unknowns = static_cast<std::size_t>(cores);

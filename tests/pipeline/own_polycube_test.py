@@ -122,7 +122,9 @@ class OwnPolycube(WorkplaceTest):
     def test_what_cannot_be_a_polycube_of_the_object_is_refused(self):
         ring = self.write("ring.json", RING)
         self.refused(3, "apart", self.write("apart.json", [[0, 0, 0], [2, 0, 0]]))
-        self.refused(3, "% of the object's volume", ring, "--origin", "90,0,0")
+        self.refused(3, "without --origin and --edge", ring, "--origin", "90,0,0", "--place", "box")
+        column = self.write("column.json", [[0, 0, k] for k in range(9)])
+        self.refused(3, "even over its bounding box", column, "--place", "box")
         self.refused(3, "not aligned", self.at("surface.off"))
         self.refused(3, "missing.json", self.at("missing.json"))
         self.refused(3, "does not say where", ring, "--place", "file")

@@ -292,6 +292,17 @@ class Shell(Reference):
             self.assertGreater(energy["absorbed_shell"][c], 0)
             self.assertGreater(energy["absorbed_core"][c], 0)
 
+    def test_a_shell_of_another_surface(self):
+        for size, code in (("12.9", 3), ("12.06", 0)):
+            done = programs.run("prepare", "ball.off", "-o", "other.ply", "--size", size, "--spacing", "0.6", cwd=self.place.name)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            if code:
+                self.refused(3, "scene.json", "other.ply", "shell.vdb", "-o", "refused.ply", words="shell.vdb: is not of the surface other.ply")
+                continue
+            done = self.run_reference("scene.json", "other.ply", "shell.vdb", "-o", "near.ply", "--paths", "100")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("shell.vdb may be of another surface than other.ply", done.stderr)
+
     def test_a_damaged_shell(self):
         with open(type(self).at("shell.vdb"), "rb") as file:
             data = file.read()

@@ -8,6 +8,7 @@
 
 #include "meshing/core/error.h"
 #include "synthesis/albedo.h"
+#include "synthesis/sample_builder.h"
 #include "synthesis/sample_check.h"
 #include "tests/synthesis/synthesis_shapes.h"
 
@@ -43,6 +44,17 @@ TEST(ProceduralSample, VeinsAbsorbMoreThanTheBodyAndBothAreThere) {
   }
   EXPECT_GT(body, static_cast<int>(sample.voxel_count()) / 2);
   EXPECT_GT(vein, static_cast<int>(sample.voxel_count()) / 100);
+}
+
+TEST(ProceduralSample, WhatDoesNotAbsorbStaysSo) {
+  const Material white = Material::from_absorption_scattering(Rgb(0, 0, 0.1f), Rgb(1, 2, 3), Rgb::Zero()),
+                 vein = Material::from_absorption_scattering(Rgb(0, 0.2f, 0.3f), Rgb(1, 2, 3), Rgb::Zero());
+  for (const double share : {0.0, 0.4, 1.0}) {
+    const Rgb absorption = mix_like_stains(white, vein, share).absorption();
+    EXPECT_EQ(absorption[0], 0);
+    EXPECT_EQ(absorption[1] > 0, share > 0);
+    EXPECT_NEAR(absorption[2], 0.1 * std::pow(3, share), 1e-5);
+  }
 }
 
 TEST(ProceduralSample, BumpsAreNoHeightFieldAndTheirNormalsPointIntoFreeSpace) {

@@ -7,6 +7,7 @@
 #include <chrono>
 #include <filesystem>
 
+#include "meshing/formats/output_set.h"
 #include "tests/meshing/formats/format_shapes.h"
 
 namespace shellgrid {
@@ -51,6 +52,51 @@ TEST(OutputFile, EqualBytesKeepTheTimeAndOtherBytesChangeIt) {
   write_text_atomically(path, "diff");
   EXPECT_NE(fs::last_write_time(path), old_time);
   EXPECT_EQ(read_text(path), "diff");
+}
+
+TEST(OutputSet, AppearsTogetherOrNotAtAll) {
+  const TemporaryFolder folder;
+  write_raw(folder / "a.txt", "old");
+  {
+    OutputSet set;
+    write_text_atomically(folder / "a.txt", "new");
+    write_text_atomically(folder / "b.txt", "first");
+    write_text_atomically(folder / "b.txt", "second");
+    EXPECT_EQ(read_text(folder / "a.txt"), "old");
+    EXPECT_FALSE(fs::exists(folder / "b.txt"));
+    EXPECT_EQ(read_text(OutputSet::present_path(folder / "a.txt")), "new");
+    EXPECT_EQ(OutputSet::present_path(folder / "c.txt"), folder / "c.txt");
+    EXPECT_THROW(OutputSet(), InternalError);
+    {
+      const OutputSet::Aside at_once;
+      write_text_atomically(folder / "state.txt", "kept");
+    }
+    EXPECT_EQ(read_text(folder / "state.txt"), "kept");
+  }
+  EXPECT_EQ(read_text(folder / "a.txt"), "old");
+  EXPECT_EQ(folder.file_count(), 2u);
+  OutputSet set;
+  fs::create_symlink("a.txt", folder / "link.txt");
+  write_text_atomically(folder / "link.txt", "new");
+  write_text_atomically(folder / "b.txt", "second");
+  set.publish();
+  EXPECT_EQ(read_text(folder / "a.txt"), "new");
+  EXPECT_EQ(read_text(folder / "b.txt"), "second");
+  EXPECT_TRUE(fs::is_symlink(folder / "link.txt"));
+  EXPECT_EQ(folder.file_count(), 4u);
+}
+
+TEST(OutputSet, EqualBytesKeepTheTime) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "a.txt";
+  write_text_atomically(path, "same");
+  const auto old_time = fs::last_write_time(path) - std::chrono::hours(1);
+  fs::last_write_time(path, old_time);
+  OutputSet set;
+  write_text_atomically(path, "same");
+  set.publish();
+  EXPECT_EQ(fs::last_write_time(path), old_time);
+  EXPECT_EQ(folder.file_count(), 1u);
 }
 
 TEST(OutputFile, RefusesFoldersDevicesAndMissingFolders) {
