@@ -78,6 +78,18 @@ void for_entries(LevelVector<A>& a, LevelVector<B>& b, std::size_t inner, const 
     }
 }
 
+// The thin layer's mean thickness in cells.
+double mean_layer_share(const Polygrid& polygrid) {
+  double sum = 0;
+  std::size_t count = 0;
+  for (std::size_t p = 0; p < polygrid.outer_twin.size(); ++p)
+    if (polygrid.outer_twin[p] >= 0) {
+      sum += (polygrid.points.row(static_cast<Eigen::Index>(p)) - polygrid.points.row(polygrid.outer_twin[p])).norm();
+      ++count;
+    }
+  return count > 0 && polygrid.spacing > 0 ? sum / (static_cast<double>(count) * polygrid.spacing) : 0;
+}
+
 }  // namespace
 
 double extinction_contrast(const CellCoefficients& coefficients) {
@@ -102,6 +114,7 @@ DiffusionSolver::DiffusionSolver(const Polygrid& polygrid, const SolverParameter
     : parameters_(parameters), polygrid_(polygrid) {
   check_polygrid(polygrid);
   hierarchy_ = build_levels(polygrid, parameters.coarsest_size, parameters.depth);
+  layer_share_ = mean_layer_share(polygrid);
   for (const RunLevel& level : levels_) {
     lights_.emplace_back();
     lights_.back().outer.resize(level.surface.size());
@@ -411,8 +424,8 @@ SolveReport DiffusionSolver::solve(const DiffusionLight& light, double tolerance
   const bool composite = hierarchy_.skipped > 0;
   const double goal = tolerance - report.deep_error;
   report.error_history.push_back(report.estimated_error + report.deep_error);
-  // In rough materials a few slow parts of the error hide behind what cycles change.
-  const bool rough = contrast_ > parameters_.rough_contrast;
+  // In rough materials and under thick layers a few slow parts of the error hide behind what cycles change.
+  const bool rough = contrast_ > parameters_.rough_contrast || layer_share_ > parameters_.thick_layer;
   if (rough) report.estimated_error = std::max(report.estimated_error, 1.01 * tolerance);
   while (report.estimated_error > goal && goal >= 0.3 * tolerance && !rough && std::isfinite(change) &&
          (composite ? report.cycles < parameters_.most_composite_cycles

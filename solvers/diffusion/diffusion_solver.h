@@ -28,6 +28,7 @@ struct SolverParameters {
   std::size_t coarsest_size = 400;  // unknowns that are solved directly
   double exact_below = 1e-3;        // tolerances below it take couplings in single and iterates in double precision
   double rough_contrast = 50;       // of σ_t' over the object, beyond which conjugate gradients take over at once
+  double thick_layer = 0.2;         // mean thickness of the thin layer, in cells, beyond which they do as well
   int most_cycles = 4;              // before conjugate gradients take over
   // Cells that must lie between the surface and a cell of their size that stands for its eight children; 0: none does.
   int depth = 0;
@@ -137,7 +138,7 @@ class DiffusionSolver {
   std::vector<RunLevel>& levels_ = hierarchy_.levels;
   SurfaceTerms terms_;
   double boundary_factor_ = 1, current_reflectance_ = 0;
-  double contrast_ = 1;
+  double contrast_ = 1, layer_share_ = 0;
   bool has_material_ = false;
   std::vector<PatchCorrection> patches_;  // of each level
   std::array<Eigen::LDLT<Eigen::MatrixXd>, 3> coarsest_;

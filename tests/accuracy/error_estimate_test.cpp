@@ -76,5 +76,25 @@ TEST(ErrorEstimate, IsHonestAndNotTooCareful) {
   }
 }
 
+// Layers of up to half a cell, as sg-polygrid --layer makes them: the cycle leaves more there than its changes tell.
+TEST(ErrorEstimate, HoldsUnderThickLayers) {
+  for (const double layer : {0.15, 0.3, 0.5})
+    for (const double paths : {10.0, 300.0})
+      for (const double tolerance : {0.01, 5e-4}) {
+        const Polygrid grid = test::ball_grid(24, 10, layer * 20 / 24);
+        DiffusionSolver solver(grid);
+        solver.set_material(material(grid, paths, 0.01, 1), 1.5, 1e-9);
+        const DiffusionLight light = lamp(solver, grid, 0.3);
+        solver.solve(light, 1e-7);
+        const std::vector<Double4> exact = solver.exitance(light);
+        const SolveReport report = solver.solve(light, tolerance);
+        const double error = test::exitance_difference(solver, solver.exitance(light), exact);
+        std::printf("layer %.2f, %g mean free paths, asked %g: estimated %.1e, true %.1e\n", layer, paths, tolerance,
+                    report.estimated_error, error);
+        EXPECT_LE(report.estimated_error, tolerance);
+        EXPECT_LE(error, 1.3 * report.estimated_error);
+      }
+}
+
 }  // namespace
 }  // namespace shellgrid
