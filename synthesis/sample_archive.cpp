@@ -10,6 +10,7 @@
 
 #include "meshing/core/error.h"
 #include "synthesis/sample_builder.h"
+#include "synthesis/sample_check.h"
 
 namespace shellgrid {
 namespace {
@@ -122,6 +123,7 @@ MaterialSample restore_sample(const VdbArchive& archive) {
     sample.normal[i] = normal.value(x, y, z);
     sample.kind[i] = to_kind(kind.value(x, y, z), archive.path);
   });
+  naming(archive.path, [&] { check_coefficients(sample); });
   return sample;
 }
 

@@ -13,21 +13,6 @@
 namespace shellgrid {
 namespace {
 
-void check_values(const MaterialSample& sample) {
-  for (std::size_t i = 0; i < sample.voxel_count(); ++i) {
-    const Vec3f &extinction = sample.extinction[i], &albedo = sample.albedo[i], &anisotropy = sample.anisotropy[i];
-    const bool good = extinction.allFinite() && albedo.allFinite() && anisotropy.allFinite() &&
-                      extinction.minCoeff() >= 0 && albedo.minCoeff() >= 0 && albedo.maxCoeff() <= 1 &&
-                      anisotropy.cwiseAbs().maxCoeff() < 1;
-    if (good) continue;
-    const int x = static_cast<int>(i % sample.size.x()), y = static_cast<int>(i / sample.size.x() % sample.size.y());
-    throw InputError(fmt::format(
-        "voxel ({}, {}, {}) has extinction {}, albedo {}, anisotropy {}; expected extinction >= 0 per mm, albedo 0 to "
-        "1, anisotropy between -1 and 1",
-        x, y, i / sample.size.x() / sample.size.y(), extinction.minCoeff(), albedo.maxCoeff(), anisotropy.maxCoeff()));
-  }
-}
-
 // What a voxel looks and weighs like, for steps between neighbours.
 Eigen::Array<float, 7, 1> signature(const MaterialSample& sample, std::size_t index) {
   Eigen::Array<float, 7, 1> values;
@@ -63,8 +48,27 @@ double seam(const MaterialSample& sample, const std::vector<Signature>& signatur
 
 }  // namespace
 
+void check_coefficients(const MaterialSample& sample) {
+  for (std::size_t i = 0; i < sample.voxel_count(); ++i) {
+    const Vec3f &extinction = sample.extinction[i], &albedo = sample.albedo[i], &anisotropy = sample.anisotropy[i];
+    const bool finite = extinction.allFinite() && albedo.allFinite() && anisotropy.allFinite() &&
+                        sample.normal[i].allFinite() &&
+                        (sample.surface_ior.empty() || std::isfinite(sample.surface_ior[i]));
+    const bool good = finite && extinction.minCoeff() >= 0 && albedo.minCoeff() >= 0 && albedo.maxCoeff() <= 1 &&
+                      anisotropy.cwiseAbs().maxCoeff() < 1;
+    if (good) continue;
+    const auto nx = static_cast<std::size_t>(sample.size.x()), ny = static_cast<std::size_t>(sample.size.y());
+    const std::string voxel = fmt::format("voxel ({}, {}, {})", i % nx, i / nx % ny, i / (nx * ny));
+    if (!finite) throw InputError(voxel + " has a number that is not finite");
+    throw InputError(fmt::format(
+        "{} has extinction {}, albedo {}, anisotropy {}; expected extinction >= 0 per mm, albedo 0 to 1, anisotropy "
+        "between -1 and 1",
+        voxel, extinction.minCoeff(), albedo.maxCoeff(), anisotropy.maxCoeff()));
+  }
+}
+
 SampleCheck check_sample(const MaterialSample& sample) {
-  check_values(sample);
+  check_coefficients(sample);
   SampleCheck check;
   const std::size_t count = sample.voxel_count();
   Eigen::Array3d absorption = Eigen::Array3d::Zero(), reduced = absorption, extinction = absorption;

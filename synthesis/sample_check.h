@@ -23,6 +23,9 @@ struct SampleCheck {
   std::vector<std::string> complaints;  // each says what fails and which size would do; empty if nothing fails
 };
 
+// Throws: InputError for a number that is negative where it must not be, not finite or out of range; names the voxel.
+void check_coefficients(const MaterialSample& sample);
+
 // Throws: InputError for coefficients that are negative or not finite, albedo or anisotropy out of range, a sample
 // without material.
 SampleCheck check_sample(const MaterialSample& sample);
