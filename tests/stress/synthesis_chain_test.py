@@ -116,7 +116,7 @@ class SynthesisChain(WorkplaceTest):
     def test_a_mesh_of_a_hundred_vertices(self):
         voxel = 3.0
         self.assertEqual(self.sample(spots(16, voxel=voxel, thickness=6, radius=6)).returncode, 0)
-        mesh = torus(12, 6, 14, 8)
+        mesh = torus(6.5, 3.5, 14, 8)
         self.assertEqual(len(mesh[0]), 112)
         synthesized, _ = self.grow(mesh, voxel=voxel, thickness=4)
         self.assertEqual(synthesized["vertices"], 112)
