@@ -13,7 +13,9 @@
 #include "meshing/surface/closest_point.h"
 #include "meshing/surface/half_edges.h"
 #include "solvers/diffusion/boundary_irradiance.h"
+#include "solvers/diffusion/boundary_quad.h"
 #include "solvers/diffusion/cell_walk.h"
+#include "solvers/diffusion/near_lamps.h"
 #include "solvers/render/surface_render.h"
 #include "solvers/scattering/fresnel.h"
 
@@ -225,24 +227,6 @@ class BeamTracer {
   Double4 scattered_ = {}, absorbed_ = {}, left_ = {};  // of the beam's power so far
 };
 
-struct QuadPoint {
-  Vec3 position, normal;
-  double area = 0;  // mm² a unit of s·t
-};
-
-QuadPoint quad_point(const Polygrid& polygrid, std::int32_t quad, double s, double t) {
-  Vec3 x[4];
-  for (int a = 0; a < 4; ++a) x[a] = polygrid.points.row(polygrid.boundary_quads(quad, a)).transpose();
-  const Vec3 along_s = (1 - t) * (x[1] - x[0]) + t * (x[2] - x[3]);
-  const Vec3 along_t = (1 - s) * (x[3] - x[0]) + s * (x[2] - x[1]);
-  QuadPoint point;
-  point.position = (1 - s) * (1 - t) * x[0] + s * (1 - t) * x[1] + s * t * x[2] + (1 - s) * t * x[3];
-  point.normal = along_s.cross(along_t);
-  point.area = point.normal.norm();
-  if (point.area > 0) point.normal /= point.area;
-  return point;
-}
-
 // Snell's law; `towards` points to the light.
 Vec3 refracted(const Vec3& towards, const Vec3& normal, double cosine, double ior) {
   const double inside = std::sqrt(std::max(0.0, 1 - (1 - cosine * cosine) / (ior * ior)));
@@ -321,48 +305,89 @@ class LightBeams {
   int parts() const { return static_cast<int>(parts_.size()); }
 
   void list(std::int32_t quad, std::vector<EnteringBeam>& list) const {
-    static constexpr double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+    const double width = quad_width(polygrid_, quad);
+    const Vec3 middle = quad_point(polygrid_, quad, 0.5, 0.5).position;
+    const auto near = [&](const SimpleLight& light) {
+      const std::optional<Vec3> position = lamp_position(light);
+      return position && is_coarse(width, (*position - middle).norm());
+    };
     for (int place = 0; place < 4; ++place) {
       // Two of the four lie across from each other, and for one the middle is best.
       const bool lit = density_.places == 4 || (density_.places == 2 && (place == 0) == (place == 3));
-      enter(quad, place, gauss[place & 1], gauss[place >> 1], lit ? 1.0 / density_.places : 0, list);
+      enter(quad, place, gauss[place & 1], gauss[place >> 1], lit ? 1.0 / density_.places : 0, near, list);
     }
-    if (density_.places == 1) enter(quad, -1, 0.5, 0.5, 1, list);
+    if (density_.places == 1) enter(quad, -1, 0.5, 0.5, 1, near, list);
+    for (const std::vector<SimpleLight>* lights : {&single_, &parts_})
+      for (const SimpleLight& light : *lights)
+        if (near(light)) enter_near(quad, width, light, list);
   }
 
  private:
-  // Beams at one place of a quad: of lights of one direction, if it stands for a `share` of the quad, and of those
-  // parts of the others that meet the quad there.
-  void enter(std::int32_t quad, int place, double s, double t, double share, std::vector<EnteringBeam>& list) const {
-    const QuadPoint at = quad_point(polygrid_, quad, s, t);
-    const SurfacePoint nearest = query_.nearest(at.position);
-    Vec3 normal = Vec3::Zero();
+  static constexpr double gauss[2] = {0.5 - 0.28867513459481288225, 0.5 + 0.28867513459481288225};
+
+  // A place of a quad, and the surface there.
+  struct Place {
+    double s, t;
+    QuadPoint at;
+    Vec3 surface, normal;
+  };
+  Place place_of(std::int32_t quad, double s, double t) const {
+    Place place{s, t, quad_point(polygrid_, quad, s, t), Vec3::Zero(), Vec3::Zero()};
+    const SurfacePoint nearest = query_.nearest(place.at.position);
+    place.surface = nearest.point;
     for (int k = 0; k < 3; ++k)
-      normal += nearest.barycentric[k] * normals_.row(surface_.faces(nearest.face_index, k)).transpose();
-    const double length = normal.norm();
-    normal = length > 0 ? Vec3(normal / length) : at.normal;
-    const Vec3 origin = nearest.point + lift_ * normal;
-    const auto add = [&](const SimpleLight& light, double area) {
-      const IncidentBeam incident = incident_beam(light, nearest.point);
-      const double cosine = normal.dot(incident.direction);
-      if (!(cosine > 0) || geometry_.occluded(origin, incident.direction, incident.distance)) return;
-      EnteringBeam beam;
-      beam.s = s;
-      beam.t = t;
-      beam.direction = refracted(incident.direction, normal, cosine, ior_);
-      // Where the mesh's normal and the quad's differ much, a beam must still go in.
-      if (beam.direction.dot(at.normal) > -0.02) beam.direction = -at.normal;
-      const Double4 irradiance = to_double(to_lanes(incident.irradiance));
-      beam.power = irradiance * (area * cosine * fresnel_transmittance(cosine, ior_));
-      list.push_back(beam);
-    };
+      place.normal += nearest.barycentric[k] * normals_.row(surface_.faces(nearest.face_index, k)).transpose();
+    const double length = place.normal.norm();
+    place.normal = length > 0 ? Vec3(place.normal / length) : place.at.normal;
+    return place;
+  }
+
+  void add(const Place& place, const SimpleLight& light, double area, std::vector<EnteringBeam>& list) const {
+    const IncidentBeam incident = incident_beam(light, place.surface);
+    const double cosine = place.normal.dot(incident.direction);
+    if (!(cosine > 0)) return;
+    const Vec3 origin = place.surface + lift_ * place.normal;
+    if (geometry_.occluded(origin, incident.direction, incident.distance)) return;
+    EnteringBeam beam;
+    beam.s = place.s;
+    beam.t = place.t;
+    beam.direction = refracted(incident.direction, place.normal, cosine, ior_);
+    // Where the mesh's normal and the quad's differ much, a beam must still go in.
+    if (beam.direction.dot(place.at.normal) > -0.02) beam.direction = -place.at.normal;
+    const Double4 irradiance = to_double(to_lanes(incident.irradiance));
+    beam.power = irradiance * (area * cosine * fresnel_transmittance(cosine, ior_));
+    list.push_back(beam);
+  }
+
+  // Of a lamp whose light changes within the quad: from as many places as that takes.
+  void enter_near(std::int32_t quad, double width, const SimpleLight& lamp, std::vector<EnteringBeam>& list) const {
+    const Vec3 position = *lamp_position(lamp);
+    for_lamp_parts(
+        width, [&](double s, double t) { return (place_of(quad, s, t).surface - position).norm(); },
+        [&](const SquarePart& part) {
+          for (const double gs : gauss)
+            for (const double gt : gauss) {
+              const Place place = place_of(quad, part.s + gs * part.size, part.t + gt * part.size);
+              add(place, lamp, 0.25 * part.size * part.size * place.at.area, list);
+            }
+        });
+  }
+
+  // Beams at one place of a quad: of lights of one direction, if it stands for a `share` of the quad, and of those
+  // parts of the others that meet the quad there. But of those that are `near`.
+  template <class Near>
+  void enter(std::int32_t quad, int place, double s, double t, double share, const Near& near,
+             std::vector<EnteringBeam>& list) const {
+    const Place here = place_of(quad, s, t);
     if (share > 0)
-      for (const SimpleLight& light : single_) add(light, share * at.area);
+      for (const SimpleLight& light : single_)
+        if (!near(light)) add(here, light, share * here.at.area, list);
     const auto turn = static_cast<std::size_t>(quad);
     const auto stride = static_cast<std::size_t>(density_.stride);
     for (std::size_t k = 0; k < parts_.size(); ++k)
-      if ((k + turn / stride) % 4 == static_cast<std::size_t>(place) && (k / 4 + turn) % stride == 0)
-        add(parts_[k], density_.stride * at.area);
+      if ((k + turn / stride) % 4 == static_cast<std::size_t>(place) && (k / 4 + turn) % stride == 0 &&
+          !near(parts_[k]))
+        add(here, parts_[k], density_.stride * here.at.area, list);
   }
 
   const Polygrid& polygrid_;

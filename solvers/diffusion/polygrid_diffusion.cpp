@@ -12,6 +12,7 @@
 #include "solvers/diffusion/boundary_irradiance.h"
 #include "solvers/diffusion/cell_coefficients.h"
 #include "solvers/diffusion/crease_split.h"
+#include "solvers/diffusion/near_lamps.h"
 #include "solvers/diffusion/paper_operator.h"
 #include "solvers/diffusion/surface_transfer.h"
 #include "solvers/render/scene_geometry.h"
@@ -103,38 +104,27 @@ void judge_material(const Polygrid& polygrid, const CellCoefficients& coefficien
     progress.warn(percent(cut_off) + " of the beams' light was cut off on its way and left where it was");
 }
 
-// The least distance of a lamp, as far as it has a place, from the grid's surface points.
-double distance_of(const Light& light, const Polygrid& polygrid) {
-  const auto least = [&](const auto& nearest_on_lamp) {
-    double square = std::numeric_limits<double>::infinity();
-    for (Eigen::Index q = 0; q < polygrid.boundary_quads.rows(); ++q)
-      for (int k = 0; k < 4; ++k) {
-        const Vec3 point = polygrid.points.row(polygrid.boundary_quads(q, k)).transpose();
-        square = std::min(square, (nearest_on_lamp(point) - point).squaredNorm());
-      }
-    return std::sqrt(square);
-  };
-  if (const auto* lamp = std::get_if<PointLight>(&light))
-    return least([&](const Vec3&) -> Vec3 { return lamp->position; });
-  if (const auto* lamp = std::get_if<AreaLight>(&light)) {
-    const AreaFrame frame(*lamp);
-    return least([&](const Vec3& point) -> Vec3 {
-      const Vec3 way = point - lamp->position;
-      return lamp->position + std::clamp(way.dot(frame.right), -lamp->width / 2, lamp->width / 2) * frame.right +
-             std::clamp(way.dot(frame.up), -lamp->height / 2, lamp->height / 2) * frame.up;
-    });
-  }
-  return std::numeric_limits<double>::infinity();
+// The least distance of a lamp, as far as it has a place, from the surface.
+double distance_of(const Light& light, const ClosestPointQuery& surface) {
+  double square = std::numeric_limits<double>::infinity();
+  if (!light_position(light)) return square;
+  for (const SimpleLight& lamp : simple_lights({light}, 256))
+    if (const std::optional<Vec3> position = lamp_position(lamp))
+      square = std::min(square, surface.nearest(*position).squared_distance);
+  return std::sqrt(square);
 }
 
-// Light is sampled at points a cell apart: what a nearer lamp sends between them is lost.
-void warn_of_near_lamps(const std::vector<Light>& lights, const Polygrid& polygrid, Progress& progress) {
+// All of a near lamp's light enters, spread over the nearest points.
+void warn_of_near_lamps(const std::vector<Light>& lights, const Polygrid& polygrid, const ClosestPointQuery& surface,
+                        Progress& progress) {
   for (std::size_t k = 0; k < lights.size(); ++k) {
-    const double distance = distance_of(lights[k], polygrid);
-    if (distance < 2 * polygrid.spacing)
+    const double distance = distance_of(lights[k], surface);
+    if (distance < least_lamp_part * polygrid.spacing)
+      progress.warn(fmt::format("lights[{}] stands on the surface: how much of its light enters is chance", k));
+    else if (distance < 2 * polygrid.spacing)
       progress.warn(fmt::format(
-          "lights[{}] stands {:.3g} mm from the surface and cells are {:.3g} mm wide: much of its light falls between "
-          "the points at which it is sampled and is lost; try more nodes (method.nodes), or sg-reference",
+          "lights[{}] stands {:.3g} mm from the surface and cells are {:.3g} mm wide: all of its light enters, but its "
+          "spot is shown as wide as a cell; try more nodes (method.nodes), or sg-reference",
           k, distance, polygrid.spacing));
   }
 }
@@ -316,7 +306,10 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
     if (const std::optional<Vec3> place = light_position(light); place && geometry.contains(*place))
       throw InputError("lights: a light stands inside the object");
   const CreaseSplit split(surface);
-  SurfaceIrradiance irradiance = surface_irradiance(split.mesh(), geometry, lights, ior, options.environment_samples);
+  const ClosestPointQuery query(split.mesh());
+  const DividedLights divided = divide_lights(lights, query, polygrid.spacing, options.environment_samples);
+  SurfaceIrradiance irradiance =
+      surface_irradiance(split.mesh(), geometry, divided.far, ior, options.environment_samples);
   result.light_directions = irradiance.directions;
   result.light_facing_away = irradiance.facing_away;
   result.light_occluded = irradiance.occluded;
@@ -326,7 +319,12 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   if (result.largest_distance > std::max(0.1 * size, 10 * polygrid.spacing))
     throw InputError(fmt::format("polygrid: the surface is another object's: it lies up to {:.3g} mm away",
                                  result.largest_distance));
-  const std::vector<Rgb> point_irradiance = transfer.to_points(irradiance.values);
+  std::vector<Rgb> point_irradiance = transfer.to_points(irradiance.values);
+  if (!divided.near.empty()) {
+    const NearLampLight near = near_lamp_light(polygrid, split.mesh(), query, geometry, divided.near, ior);
+    for (std::size_t p = 0; p < near.at_points.size(); ++p) point_irradiance[p] += near.at_points[p];
+    for (std::size_t v = 0; v < near.at_vertices.size(); ++v) irradiance.values[v] += near.at_vertices[v];
+  }
   transfer.drop_samples();
   progress.end();
 
@@ -361,7 +359,7 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
   }
   result.surface_entering = surface_integral(surface, result.irradiance);
   result.surface_leaving = surface_integral(surface, result.exitance);
-  warn_of_near_lamps(lights, polygrid, progress);
+  warn_of_near_lamps(lights, polygrid, query, progress);
   judge_solution(polygrid, options, result, progress);
   return result;
 }
