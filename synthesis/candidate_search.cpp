@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <array>
 #include <limits>
-#include <numeric>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -18,8 +17,9 @@ using Point = Eigen::Array<float, dimension, 1>;
 // A k-d tree over points of eight components; eight boxes, or sixteen points, are looked at at once.
 class AppearanceTree {
  public:
-  explicit AppearanceTree(const RowMatrixf& points) : points_(points), order_(points.rows()) {
-    std::iota(order_.begin(), order_.end(), 0);
+  // Of the rows named in `members`.
+  AppearanceTree(const RowMatrixf& points, std::vector<std::int32_t> members)
+      : points_(points), order_(std::move(members)) {
     root_ = build({0, static_cast<int>(order_.size())});
   }
 
@@ -162,39 +162,47 @@ class AppearanceTree {
 
 }  // namespace
 
-std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, int width, int height, int k, int separation) {
-  if (appearance.cols() != dimension || appearance.rows() != static_cast<Eigen::Index>(width) * height)
+std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, const SampleLayers& layers,
+                                          const std::vector<int>& sources, const std::vector<int>& targets, int k,
+                                          int separation) {
+  if (appearance.cols() != dimension || appearance.rows() != static_cast<Eigen::Index>(layers.texel_count()))
     throw InternalError("appearance vectors of a wrong shape");
-  const AppearanceTree tree(appearance);
+  std::vector<std::int32_t> members, queries;
+  for (int layer : targets)
+    for (int i = 0; i < layers[layer].texel_count(); ++i) members.push_back(layers[layer].first + i);
+  for (int layer : sources)
+    for (int i = 0; i < layers[layer].texel_count(); ++i) queries.push_back(layers[layer].first + i);
+  const AppearanceTree tree(appearance, std::move(members));
   // Of the disc of texels less than `separation` away, row by row.
   const int reach = separation - 1;
   std::vector<int> half_width(separation);
   for (int dy = 0; dy <= reach; ++dy)
     while ((half_width[dy] + 1) * (half_width[dy] + 1) + dy * dy < separation * separation) ++half_width[dy];
-  std::vector<std::int32_t> result(static_cast<std::size_t>(width) * height * k, -1);
-  parallel_chunks(static_cast<std::size_t>(width) * height, 256, [&](std::size_t begin, std::size_t end) {
-    std::vector<std::int32_t> taken_for(static_cast<std::size_t>(width) * height, -1);  // too near a place taken
-    for (std::size_t texel = begin; texel < end; ++texel) {
-      const std::int32_t self = static_cast<std::int32_t>(texel);
-      const auto take = [&](int t) {
-        const int x = t % width, y = t / width;
+  std::vector<std::int32_t> result(queries.size() * k, -1);
+  parallel_chunks(queries.size(), 256, [&](std::size_t begin, std::size_t end) {
+    std::vector<std::int32_t> taken_for(layers.texel_count(), -1);  // too near a place taken
+    for (std::size_t query = begin; query < end; ++query) {
+      const std::int32_t self = queries[query];
+      const auto take = [&](std::int32_t t) {
+        const SampleLayer& layer = layers[layers.layer_of(t)];
+        const int x = (t - layer.first) % layer.width, y = (t - layer.first) / layer.width;
         for (int dy = -reach; dy <= reach; ++dy) {
-          const int sy = (y + dy % height + height) % height;
-          std::int32_t* row = &taken_for[static_cast<std::size_t>(sy) * width];
+          const int sy = (y + dy % layer.height + layer.height) % layer.height;
+          std::int32_t* row = &taken_for[layer.first + static_cast<std::size_t>(sy) * layer.width];
           const int half = half_width[std::abs(dy)];
-          if (2 * half + 1 >= width) {
-            std::fill(row, row + width, self);
+          if (2 * half + 1 >= layer.width) {
+            std::fill(row, row + layer.width, self);
             continue;
           }
           const int first = x - half, last = x + half;
-          std::fill(row + std::max(first, 0), row + std::min(last, width - 1) + 1, self);
-          if (first < 0) std::fill(row + first + width, row + width, self);
-          if (last >= width) std::fill(row, row + last - width + 1, self);
+          std::fill(row + std::max(first, 0), row + std::min(last, layer.width - 1) + 1, self);
+          if (first < 0) std::fill(row + first + layer.width, row + layer.width, self);
+          if (last >= layer.width) std::fill(row, row + last - layer.width + 1, self);
         }
       };
       const auto allowed = [&](std::int32_t t) { return taken_for[t] != self; };
-      const Point own = appearance.row(static_cast<Eigen::Index>(texel)).transpose().array();
-      const std::int32_t* before = texel > begin ? result.data() + (texel - 1) * k : nullptr;
+      const Point own = appearance.row(self).transpose().array();
+      const std::int32_t* before = query > begin ? result.data() + (query - 1) * k : nullptr;
       take(self);
       for (int i = 0; i < k; ++i) {
         // What the texel before found bounds the search and changes nothing else.
@@ -203,7 +211,9 @@ std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, int widt
         if (before) {
           for (int j = 0; j < k; ++j) {
             if (before[j] < 0) continue;
-            const std::int32_t guess = before[j] / width * width + (before[j] + 1) % width;
+            const SampleLayer& layer = layers[layers.layer_of(before[j])];
+            const std::int32_t at = before[j] - layer.first;
+            const std::int32_t guess = layer.first + at / layer.width * layer.width + (at + 1) % layer.width;
             if (!allowed(guess)) continue;
             const float bound = (appearance.row(guess).transpose().array() - own).square().sum() * (1 + 1e-5f) + 1e-30f;
             distance = std::min(distance, bound);
@@ -211,7 +221,7 @@ std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, int widt
         }
         tree.nearest(own, allowed, distance, best);
         if (best == std::numeric_limits<std::int32_t>::max()) break;
-        result[texel * k + i] = best;
+        result[query * k + i] = best;
         take(best);
       }
     }

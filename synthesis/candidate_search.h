@@ -4,13 +4,16 @@
 #include <vector>
 
 #include "synthesis/principal_components.h"
+#include "synthesis/sample_layers.h"
 
 namespace shellgrid {
 
-// For each texel of a sample that wraps around, the k texels nearest in appearance, best first, each at least
-// `separation` texels from the texel itself and from each other; −1 where none is left. Exact; of texels equally alike
+// For each texel of `sources`, the k texels of `targets` nearest in appearance, best first, each at least `separation`
+// texels from the texel itself and from each other in its layer; −1 where none is left. Exact; of texels equally alike
 // the lowest comes first. Source: [Tong2002 §4].
-// appearance: width·height rows of 8; texel (x, y) stands at y·width + x.
-std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, int width, int height, int k, int separation);
+// appearance: a row of 8 for each texel of all layers. Returns k a texel, source after source.
+std::vector<std::int32_t> find_candidates(const RowMatrixf& appearance, const SampleLayers& layers,
+                                          const std::vector<int>& sources, const std::vector<int>& targets, int k,
+                                          int separation);
 
 }  // namespace shellgrid

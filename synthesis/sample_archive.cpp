@@ -191,34 +191,73 @@ MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& opti
   return sample;
 }
 
+namespace {
+
+// Calls visit(texel, x, y, layer) for every texel; the layer is the grid's z.
+template <class Visit>
+void for_each_texel(const SampleLayers& layers, const Visit& visit) {
+  for (int l = 0; l < layers.size(); ++l)
+    for (int y = 0; y < layers[l].height; ++y)
+      for (int x = 0; x < layers[l].width; ++x)
+        visit(static_cast<std::size_t>(layers[l].first) + static_cast<std::size_t>(y) * layers[l].width + x, x, y, l);
+}
+
+template <class T, class Value>
+TwoLevelGrid<T> fill_layers(const SampleLayers& layers, const T& background, const Value& value) {
+  Vec3i size(0, 0, layers.size());
+  for (const SampleLayer& layer : layers.list) size = size.cwiseMax(Vec3i(layer.width, layer.height, 0));
+  TwoLevelGrid<T> grid(Vec3i::Zero(), (size.array() + 7) / 8, background);
+  for_each_texel(layers, [&](std::size_t texel, int x, int y, int l) { grid.set(x, y, l, value(texel)); });
+  return grid;
+}
+
+SampleLayers read_layers(const VdbArchive& archive) {
+  const int samples = whole(archive, "samples", 1, 16), symmetry = whole(archive, "symmetry", 1, 4);
+  if (symmetry == 3) throw InputError(archive.path + ": the metadata 'symmetry' is 3, out of range");
+  std::vector<Eigen::Vector2i> sizes;
+  const std::vector<double> numbers = archive.numbers("sizes", 2 * static_cast<std::size_t>(samples));
+  for (std::size_t i = 0; i < numbers.size(); i += 2) {
+    for (std::size_t k = i; k < i + 2; ++k)
+      if (!(numbers[k] >= 1 && numbers[k] <= 4096) || numbers[k] != std::floor(numbers[k]))
+        throw InputError(fmt::format("{}: the metadata 'sizes' is out of range", archive.path));
+    sizes.emplace_back(static_cast<int>(numbers[i]), static_cast<int>(numbers[i + 1]));
+  }
+  return SampleLayers::make(sizes, symmetry);
+}
+
+}  // namespace
+
 VdbArchive archive_textons(const TextonSet& textons) {
   VdbArchive archive;
   archive.frame = {Vec3::Zero(), textons.voxel};
-  const Vec3i size(textons.width, textons.height, 1);
+  const SampleLayers& layers = textons.layers;
   const auto add_floats = [&](const std::string& name, const std::vector<float>& values) {
     for (int c = 0; c < TextonSet::dimension; ++c)
-      archive.grids.push_back(
-          {fmt::format("{}_{}", name, c), fill_grid<float>(size, 0.0f, [&](int x, int y, int) {
-             return values[static_cast<std::size_t>(y * textons.width + x) * TextonSet::dimension + c];
-           })});
+      archive.grids.push_back({fmt::format("{}_{}", name, c), fill_layers<float>(layers, 0.0f, [&](std::size_t texel) {
+                                 return values[texel * TextonSet::dimension + c];
+                               })});
   };
   const auto add_indices = [&](const std::string& name, const std::vector<std::int32_t>& values, int stride, int k) {
-    archive.grids.push_back({name, fill_grid<std::int32_t>(size, -1, [&](int x, int y, int) {
-                               return values[static_cast<std::size_t>(y * textons.width + x) * stride + k];
-                             })});
+    archive.grids.push_back(
+        {name, fill_layers<std::int32_t>(layers, -1, [&](std::size_t texel) { return values[texel * stride + k]; })});
   };
-  archive.grids.push_back({"color", fill_grid<Vec3f>(size, Vec3f::Zero(), [&](int x, int y, int) {
-                             return textons.color[static_cast<std::size_t>(y) * textons.width + x];
-                           })});
+  archive.grids.push_back(
+      {"color", fill_layers<Vec3f>(layers, Vec3f::Zero(), [&](std::size_t texel) { return textons.color[texel]; })});
   add_indices("texton", textons.textons, 1, 0);
   add_floats("feature", textons.features);
+  const int candidates = textons.candidates_each();
   for (std::size_t l = 0; l < textons.levels.size(); ++l) {
     add_floats(fmt::format("appearance_{}", l), textons.levels[l].appearance);
-    for (int k = 0; k < textons.candidate_count; ++k)
-      add_indices(fmt::format("candidate_{}_{}", l, k), textons.levels[l].candidates, textons.candidate_count, k);
+    for (int k = 0; k < candidates; ++k)
+      add_indices(fmt::format("candidate_{}_{}", l, k), textons.levels[l].candidates, candidates, k);
   }
   archive.metadata["kind"] = "texton set";
-  archive.set_numbers("size", {static_cast<double>(textons.width), static_cast<double>(textons.height), 1});
+  std::vector<double> sizes;
+  for (int s = 0; s < layers.sample_count; ++s)
+    sizes.insert(sizes.end(), {static_cast<double>(layers[s].width), static_cast<double>(layers[s].height)});
+  archive.set_numbers("samples", {static_cast<double>(layers.sample_count)});
+  archive.set_numbers("symmetry", {static_cast<double>(layers.symmetry)});
+  archive.set_numbers("sizes", sizes);
   archive.set_numbers("voxel", {textons.voxel});
   archive.set_numbers("levels", {static_cast<double>(textons.levels.size())});
   archive.set_numbers("candidates", {static_cast<double>(textons.candidate_count)});
@@ -229,8 +268,8 @@ VdbArchive archive_textons(const TextonSet& textons) {
 TextonSet restore_textons(const VdbArchive& archive) {
   expect_kind(archive, "texton set", "sg-textons");
   TextonSet textons;
-  const Vec3i size = read_size(archive);
-  textons.width = size.x(), textons.height = size.y();
+  textons.layers = read_layers(archive);
+  const SampleLayers& layers = textons.layers;
   textons.voxel = archive.number("voxel");
   if (!(textons.voxel > 0)) throw InputError(archive.path + ": the metadata 'voxel' is out of range");
   textons.candidate_count = whole(archive, "candidates", 1, 8);
@@ -241,8 +280,8 @@ TextonSet restore_textons(const VdbArchive& archive) {
     std::vector<float> values(count * TextonSet::dimension);
     for (int c = 0; c < TextonSet::dimension; ++c) {
       const auto& grid = archive.get<float>(fmt::format("{}_{}", name, c));
-      for_each_index(Vec3i(size.x(), size.y(), 1), [&](std::size_t i, int x, int y, int) {
-        const float value = grid.value(x, y, 0);
+      for_each_texel(layers, [&](std::size_t i, int x, int y, int l) {
+        const float value = grid.value(x, y, l);
         if (!std::isfinite(value))
           throw InputError(fmt::format("{}: the grid '{}_{}' holds {}", archive.path, name, c, value));
         values[i * TextonSet::dimension + c] = value;
@@ -251,29 +290,28 @@ TextonSet restore_textons(const VdbArchive& archive) {
     return values;
   };
   const auto read_indices = [&](const std::string& name, std::vector<std::int32_t>& values, int stride, int k,
-                                int most) {
+                                int least, int most) {
     const auto& grid = archive.get<std::int32_t>(name);
-    for_each_index(Vec3i(size.x(), size.y(), 1), [&](std::size_t i, int x, int y, int) {
-      const std::int32_t value = grid.value(x, y, 0);
-      if (value < 0 || value >= most)
+    for_each_texel(layers, [&](std::size_t i, int x, int y, int l) {
+      const std::int32_t value = grid.value(x, y, l);
+      if (value < least || value >= most)
         throw InputError(fmt::format("{}: the grid '{}' holds {}, out of range", archive.path, name, value));
       values[i * stride + k] = value;
     });
   };
   const auto& color = archive.get<Vec3f>("color");
   textons.color.resize(count);
-  for_each_index(Vec3i(size.x(), size.y(), 1),
-                 [&](std::size_t i, int x, int y, int) { textons.color[i] = color.value(x, y, 0); });
+  for_each_texel(layers, [&](std::size_t i, int x, int y, int l) { textons.color[i] = color.value(x, y, l); });
   textons.textons.resize(count);
-  read_indices("texton", textons.textons, 1, 0, textons.texton_count);
+  read_indices("texton", textons.textons, 1, 0, 0, textons.texton_count);
   textons.features = read_floats("feature");
+  const int candidates = textons.candidates_each();
   for (int l = 0; l < levels; ++l) {
     TextonSet::Level level;
     level.appearance = read_floats(fmt::format("appearance_{}", l));
-    level.candidates.resize(count * textons.candidate_count);
-    for (int k = 0; k < textons.candidate_count; ++k)
-      read_indices(fmt::format("candidate_{}_{}", l, k), level.candidates, textons.candidate_count, k,
-                   static_cast<int>(count));
+    level.candidates.resize(count * candidates);
+    for (int k = 0; k < candidates; ++k)
+      read_indices(fmt::format("candidate_{}_{}", l, k), level.candidates, candidates, k, -1, static_cast<int>(count));
     textons.levels.push_back(std::move(level));
   }
   return textons;

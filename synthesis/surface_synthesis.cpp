@@ -1,85 +1,47 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "synthesis/surface_synthesis.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
+#include <limits>
+#include <queue>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/core/random.h"
 #include "meshing/surface/direction_field.h"
+#include "synthesis/synthesis_level.h"
+#include "synthesis/window_optimization.h"
 
 namespace shellgrid {
 namespace {
 
-constexpr int slot_count = 8;
+constexpr int slots = SynthesisLevel::slots;
 constexpr float reach_texels = 1.5f;  // how near continuations must agree to count as one patch, texels of the level
-const std::array<Vec2f, slot_count> slot_offsets = {Vec2f(1, 0),  Vec2f(1, 1),   Vec2f(0, 1),  Vec2f(-1, 1),
-                                                    Vec2f(-1, 0), Vec2f(-1, -1), Vec2f(0, -1), Vec2f(1, -1)};
+constexpr float never = std::numeric_limits<float>::infinity();
 
 // An appearance vector lies in one vector register.
 using Appearance = Eigen::Array<float, TextonSet::dimension, 1>;
 
-// Steps from a texel to a neighbour's place.
-struct Shift {
-  int x, y;
-};
-
-// One level of the synthesis: its vertices, their neighbours, and groups that may change at once.
-struct SynthesisLevel {
-  std::vector<std::int32_t> vertices;
-  std::vector<TangentNeighbour> neighbours;       // 8 a vertex
-  std::vector<std::vector<std::int32_t>> groups;  // positions in `vertices`
-};
-
-// Splits the level's vertices so that no vertex has a neighbour, or is one, in its own group. Greedy, in vertex order.
-void color_vertices(SynthesisLevel& level, int mesh_vertices) {
-  const int count = static_cast<int>(level.vertices.size());
-  std::vector<std::int32_t> position(mesh_vertices, -1);
-  for (int i = 0; i < count; ++i) position[level.vertices[i]] = i;
-  std::vector<std::int32_t> offsets(count + 1, 0), readers(level.neighbours.size());
-  const auto neighbour_of = [&](int i, int s) {
-    const std::int32_t v = level.neighbours[static_cast<std::size_t>(i) * slot_count + s].vertex;
-    return v < 0 ? -1 : position[v];
-  };
-  for (int i = 0; i < count; ++i)
-    for (int s = 0; s < slot_count; ++s)
-      if (const int j = neighbour_of(i, s); j >= 0) ++offsets[j + 1];
-  for (int i = 0; i < count; ++i) offsets[i + 1] += offsets[i];
-  std::vector<std::int32_t> fill(offsets.begin(), offsets.end() - 1);
-  for (int i = 0; i < count; ++i)
-    for (int s = 0; s < slot_count; ++s)
-      if (const int j = neighbour_of(i, s); j >= 0) readers[fill[j]++] = i;
-  std::vector<std::int32_t> color(count, -1), taken;
-  for (int i = 0; i < count; ++i) {
-    const auto mark = [&](int j) {
-      if (j < 0 || j == i || color[j] < 0) return;
-      taken[color[j]] = i;
-    };
-    taken.resize(level.groups.size(), -1);
-    for (int s = 0; s < slot_count; ++s) mark(neighbour_of(i, s));
-    for (int at = offsets[i]; at < offsets[i + 1]; ++at) mark(readers[at]);
-    int free = 0;
-    while (free < static_cast<int>(taken.size()) && taken[free] == i) ++free;
-    if (free == static_cast<int>(taken.size())) level.groups.emplace_back(), taken.push_back(-1);
-    color[i] = free;
-    level.groups[free].push_back(i);
-  }
-}
-
 class Synthesizer {
  public:
   Synthesizer(const TextonSet& textons, SurfaceTexture& result, const SynthesisOptions& options)
-      : textons_(textons), result_(result), options_(options), size_(textons.width, textons.height) {}
+      : textons_(textons), layers_(textons.layers), result_(result), options_(options) {
+    find_reluctance();
+  }
 
   void run(Progress& progress) {
     const VertexHierarchy& hierarchy = result_.hierarchy;
     const int coarsest = static_cast<int>(hierarchy.levels.size()) - 1;
-    result_.coordinate.assign(result_.surface.mesh.vertex_count(), Vec2f::Zero());
+    place_.resize(result_.surface.mesh.vertex_count());
     progress.begin("synthesize", coarsest + 1);
     for (int l = coarsest; l >= 0; --l) {
-      const SynthesisLevel level = build_level(l);
+      const SynthesisLevel level =
+          build_synthesis_level(result_.surface, hierarchy, l, textons_.voxel, layers_.symmetry);
+      appearance_scale_ = appearance_variance(l);
       if (l == coarsest)
         start_randomly(level);
       else
@@ -93,57 +55,83 @@ class Synthesizer {
               group.size(), [&](std::size_t i) { correct(level, l, group[i]); }, 64);
         relax(level, l);
       }
-      if (l == 0) measure_coherence(level);
+      if (l == 0) {
+        comparisons_ += optimize_windows(
+            result_.surface, hierarchy.levels[0], textons_, options_.window_passes,
+            options_.method == SynthesisMethod::exhaustive,
+            [&](std::int32_t v, int sample) { return reluctance(v, sample) < never; }, place_);
+        measure_coherence(level);
+      }
       progress.advance();
     }
+    write_result();
     progress.end();
   }
 
  private:
-  Vec2f wrap(Vec2f c) const {
-    for (int axis = 0; axis < 2; ++axis) {
-      const float n = static_cast<float>(size_[axis]);
-      c[axis] -= n * std::floor(c[axis] / n);
-      if (!(c[axis] < n)) c[axis] = 0;
+  // What a vertex pays for each sample: 0 for its own, more the farther its area is, endless beyond the border's width.
+  void find_reluctance() {
+    const std::vector<std::int32_t>& wanted = options_.paint.sample;
+    if (layers_.sample_count == 1) return;
+    const TriangleMesh& mesh = result_.surface.mesh;
+    const HalfEdges& half_edges = result_.surface.half_edges;
+    const int n = mesh.vertex_count(), samples = layers_.sample_count;
+    const double width = options_.blend_width * textons_.voxel;
+    reluctance_.assign(static_cast<std::size_t>(n) * samples, never);
+    for (int s = 0; s < samples; ++s) {
+      std::vector<double> distance(n, 1e300);
+      using Entry = std::pair<double, std::int32_t>;
+      std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
+      for (int v = 0; v < n; ++v)
+        if (wanted[v] == s) distance[v] = 0, queue.emplace(0.0, v);
+      while (!queue.empty()) {
+        const auto [d, v] = queue.top();
+        queue.pop();
+        if (d > distance[v]) continue;
+        const double share = width > 0 ? d / width : 0;
+        reluctance_[static_cast<std::size_t>(v) * samples + s] =
+            static_cast<float>(options_.blend_cost * share * share);
+        const auto relax_edge = [&](std::int32_t w) {
+          const double length = d + (mesh.vertex(w) - mesh.vertex(v)).norm();
+          if (length <= width && length < distance[w]) distance[w] = length, queue.emplace(length, w);
+        };
+        half_edges.for_each_outgoing(v, [&](std::int32_t h) {
+          relax_edge(HalfEdges::to(mesh, h));
+          relax_edge(HalfEdges::from(mesh, HalfEdges::previous(h)));
+        });
+      }
     }
-    return c;
   }
-  // The shortest way from b to a on the torus of texels.
-  Vec2f difference(const Vec2f& a, const Vec2f& b) const {
-    Vec2f d = a - b;
-    for (int axis = 0; axis < 2; ++axis) {
-      const float n = static_cast<float>(size_[axis]);
-      d[axis] -= n * std::round(d[axis] / n);
-    }
-    return d;
+  float reluctance(std::int32_t v, int sample) const {
+    return reluctance_.empty() ? 0.0f : reluctance_[static_cast<std::size_t>(v) * layers_.sample_count + sample];
   }
-  // The coordinate must be wrapped.
-  int texel(const Vec2f& c) const { return static_cast<int>(c.y()) * size_.x() + static_cast<int>(c.x()); }
 
-  SynthesisLevel build_level(int l) const {
-    const VertexHierarchy::Level& hierarchy_level = result_.hierarchy.levels[l];
-    SynthesisLevel level;
-    level.vertices = hierarchy_level.vertices;
-    level.neighbours.resize(level.vertices.size() * slot_count);
-    const double step = std::ldexp(1.0, l);
-    parallel_for(
-        level.vertices.size(),
-        [&](std::size_t i) {
-          for (int s = 0; s < slot_count; ++s)
-            level.neighbours[i * slot_count + s] =
-                find_tangent_neighbour(result_.surface, hierarchy_level, level.vertices[i],
-                                       slot_offsets[s].cast<double>() * step, textons_.voxel);
-        },
-        64);
-    color_vertices(level, result_.surface.mesh.vertex_count());
-    return level;
+  float appearance_variance(int l) const {
+    if (reluctance_.empty()) return 0;
+    const std::vector<float>& appearance = textons_.levels[l].appearance;
+    Appearance sum = Appearance::Zero(), squares = Appearance::Zero();
+    for (int t = 0; t < textons_.texel_count(); ++t) {
+      const Eigen::Map<const Appearance> a(&appearance[static_cast<std::size_t>(t) * TextonSet::dimension]);
+      sum += a, squares += a.square();
+    }
+    const float n = static_cast<float>(textons_.texel_count());
+    return (squares / n - (sum / n).square()).sum();
+  }
+
+  // What the neighbour's patch has at `place` of the asking frame, in texels.
+  LayerPlace continued(const TangentNeighbour& neighbour, const Vec2f& place) const {
+    LayerPlace from = layers_.turned(place_[neighbour.vertex], -neighbour.turn);
+    from.at = layers_.wrap(from.layer, from.at + neighbour.rotate(place - neighbour.offset));
+    return from;
   }
 
   void start_randomly(const SynthesisLevel& level) {
     for (std::int32_t v : level.vertices) {
       RandomStream random(hash64(options_.seed, 51), static_cast<std::uint64_t>(v));
-      const double u = random.next() * size_.x(), t = random.next() * size_.y();
-      result_.coordinate[v] = wrap(Vec2f(static_cast<float>(u), static_cast<float>(t)));
+      const double u = random.next(), t = random.next();
+      int layer = reluctance_.empty() ? 0 : options_.paint.sample[v];
+      place_[v] = {layer, layers_.wrap(layer, Vec2f(static_cast<float>(u * layers_[layer].width),
+                                                    static_cast<float>(t * layers_[layer].height)))};
     }
   }
 
@@ -151,16 +139,18 @@ class Synthesizer {
   void upsample(const SynthesisLevel& level, int l) {
     const VertexHierarchy::Level& coarser = result_.hierarchy.levels[l + 1];
     const float jitter = l >= options_.least_jitter_level ? std::ldexp(static_cast<float>(options_.jitter), l) : 0.0f;
-    std::vector<Vec2f> started(level.vertices.size());
+    std::vector<LayerPlace> started(level.vertices.size());
     parallel_for(level.vertices.size(), [&](std::size_t i) {
       const std::int32_t v = level.vertices[i];
-      const TangentNeighbour parent = find_tangent_neighbour(result_.surface, coarser, v, Vec2::Zero(), textons_.voxel);
+      const TangentNeighbour parent =
+          find_tangent_neighbour(result_.surface, coarser, v, Vec2::Zero(), textons_.voxel, layers_.symmetry);
       RandomStream random(hash64(options_.seed, 52, static_cast<std::uint64_t>(l)), static_cast<std::uint64_t>(v));
       const float ju = std::round(jitter * static_cast<float>(2 * random.next() - 1));
       const float jv = std::round(jitter * static_cast<float>(2 * random.next() - 1));
-      started[i] = wrap(result_.coordinate[parent.vertex] - parent.rotate(parent.offset) + Vec2f(ju, jv));
+      started[i] = continued(parent, Vec2f::Zero());
+      started[i].at = layers_.wrap(started[i].layer, started[i].at + Vec2f(ju, jv));
     });
-    for (std::size_t i = 0; i < level.vertices.size(); ++i) result_.coordinate[level.vertices[i]] = started[i];
+    for (std::size_t i = 0; i < level.vertices.size(); ++i) place_[level.vertices[i]] = started[i];
   }
 
   // Gives one vertex the candidate whose surroundings in the sample differ least from its neighbours on the surface.
@@ -168,47 +158,80 @@ class Synthesizer {
     const float step = std::ldexp(1.0f, l);
     const TextonSet::Level& textons = textons_.levels[l];
     const float* appearance = textons.appearance.data();
-    const auto appearance_at = [&](int t) {
+    const auto appearance_at = [&](std::int32_t t) {
       return Eigen::Map<const Appearance>(appearance + static_cast<std::size_t>(t) * TextonSet::dimension);
     };
-    std::array<Appearance, slot_count> wanted;
-    std::array<Vec2f, slot_count + 1> continuations;
-    std::array<Shift, slot_count> shifts;
+    struct Shift {
+      int x, y;
+    };
+    std::array<Appearance, slots> wanted;
+    std::array<Shift, slots> shifts;
+    std::array<LayerPlace, slots + 1> continuations;
+    std::array<std::int32_t, slots + 1> texels;
     int used = 0, continuation_count = 0;
     const std::int32_t v = level.vertices[position];
-    continuations[continuation_count++] = result_.coordinate[v];
-    for (int s = 0; s < slot_count; ++s) {
-      const TangentNeighbour& neighbour = level.neighbours[static_cast<std::size_t>(position) * slot_count + s];
+    const auto add_continuation = [&](const LayerPlace& place) {
+      const std::int32_t texel = layers_.texel(place);
+      for (int c = 0; c < continuation_count; ++c)
+        if (texels[c] == texel) return;
+      texels[continuation_count] = texel;
+      continuations[continuation_count++] = place;
+    };
+    add_continuation(place_[v]);
+    for (int s = 0; s < slots; ++s) {
+      const TangentNeighbour& neighbour = level.neighbour(position, s);
       if (neighbour.vertex < 0) continue;
-      const Vec2f place = slot_offsets[s] * step, coordinate = result_.coordinate[neighbour.vertex];
-      wanted[used] = appearance_at(texel(wrap(coordinate + neighbour.rotate(place - neighbour.offset))));
+      const Vec2f place = SynthesisLevel::offsets[s] * step;
+      wanted[used] = appearance_at(layers_.texel(continued(neighbour, place)));
       shifts[used++] = {static_cast<int>(place.x()), static_cast<int>(place.y())};
-      continuations[continuation_count++] = wrap(coordinate - neighbour.rotate(neighbour.offset));
+      add_continuation(continued(neighbour, Vec2f::Zero()));
     }
-    float best_distance = 3e38f;
-    Vec2f best = result_.coordinate[v];
-    const auto consider = [&](int tx, int ty, const Vec2f& fraction, float penalty) {
-      float distance = 0;
+    float best_distance = std::numeric_limits<float>::max();
+    LayerPlace best = place_[v];
+    long compared = 0;
+    const float price = appearance_scale_ * static_cast<float>(used);
+    const auto consider = [&](int layer_index, int tx, int ty, const Vec2f& fraction, float penalty) {
+      const SampleLayer& layer = layers_[layer_index];
+      ++compared;
+      float distance = reluctance_.empty() ? 0.0f : price * reluctance(v, layer.sample);
+      if (!(distance * penalty < best_distance)) return;
       for (int s = 0; s < used; ++s) {
-        int x = (tx + shifts[s].x) % size_.x(), y = (ty + shifts[s].y) % size_.y();
-        x += x < 0 ? size_.x() : 0, y += y < 0 ? size_.y() : 0;
-        distance += (wanted[s] - appearance_at(y * size_.x() + x)).square().sum();
+        int x = tx + shifts[s].x, y = ty + shifts[s].y;
+        x += x < 0 ? layer.width : x >= layer.width ? -layer.width : 0;
+        y += y < 0 ? layer.height : y >= layer.height ? -layer.height : 0;
+        distance += (wanted[s] - appearance_at(layer.first + y * layer.width + x)).square().sum();
         if (distance * penalty >= best_distance) return;
       }
       best_distance = distance * penalty;
-      best = Vec2f(static_cast<float>(tx), static_cast<float>(ty)) + fraction;
+      best = {layer_index, Vec2f(static_cast<float>(tx), static_cast<float>(ty)) + fraction};
+    };
+    const auto consider_texel = [&](int layer, std::int32_t texel, const Vec2f& fraction, float penalty) {
+      const std::int32_t at = texel - layers_[layer].first;
+      consider(layer, at % layers_[layer].width, at / layers_[layer].width, fraction, penalty);
     };
     const float penalty = static_cast<float>(options_.incoherence_penalty);
+    const float turn_penalty = static_cast<float>(options_.turn_penalty);
+    const bool exhaustive = options_.method == SynthesisMethod::exhaustive;
     for (int c = 0; c < continuation_count; ++c) {
-      const int tx = static_cast<int>(continuations[c].x()), ty = static_cast<int>(continuations[c].y());
-      const Vec2f fraction = continuations[c] - Vec2f(static_cast<float>(tx), static_cast<float>(ty));
-      consider(tx, ty, fraction, 1.0f);
+      const LayerPlace& from = continuations[c];
+      const Vec2f fraction = from.at - from.at.array().floor().matrix();
+      consider(from.layer, static_cast<int>(from.at.x()), static_cast<int>(from.at.y()), fraction, 1.0f);
+      if (exhaustive) continue;
       const std::int32_t* candidates =
-          textons.candidates.data() + static_cast<std::size_t>(ty * size_.x() + tx) * textons_.candidate_count;
-      for (int k = 0; k < textons_.candidate_count; ++k)
-        consider(candidates[k] % size_.x(), candidates[k] / size_.x(), fraction, penalty);
+          textons.candidates.data() + static_cast<std::size_t>(texels[c]) * textons_.candidates_each();
+      for (int k = 0; k < textons_.candidates_each(); ++k)
+        if (candidates[k] >= 0) {
+          const int layer = layers_.layer_of(candidates[k]);
+          const bool turns = layers_.turn_of(layer) != layers_.turn_of(from.layer);
+          consider_texel(layer, candidates[k], fraction, turns ? penalty * turn_penalty : penalty);
+        }
     }
-    result_.coordinate[v] = wrap(best);
+    for (int layer = 0; exhaustive && layer < layers_.size(); ++layer)
+      for (int t = 0; t < layers_[layer].texel_count(); ++t)
+        consider_texel(layer, layers_[layer].first + t, Vec2f(0.5f, 0.5f), penalty);
+    best.at = layers_.wrap(best.layer, best.at);
+    place_[v] = best;
+    comparisons_.fetch_add(compared, std::memory_order_relaxed);
   }
 
   // Within a patch, moves every coordinate to the mean of what its neighbours' continuations say, so that rounding and
@@ -218,67 +241,125 @@ class Synthesizer {
     std::vector<Vec2f> moved(level.vertices.size());
     for (int sweep = 0; sweep < options_.relaxation_sweeps; ++sweep) {
       parallel_for(level.vertices.size(), [&](std::size_t i) {
-        const Vec2f own = result_.coordinate[level.vertices[i]];
+        const LayerPlace& own = place_[level.vertices[i]];
         Vec2f sum = Vec2f::Zero();
         float weight = 1;
-        for (int s = 0; s < slot_count; ++s) {
-          const TangentNeighbour& neighbour = level.neighbours[i * slot_count + s];
+        for (int s = 0; s < slots; ++s) {
+          const TangentNeighbour& neighbour = level.neighbour(i, s);
           if (neighbour.vertex < 0) continue;
-          const Vec2f step = difference(result_.coordinate[neighbour.vertex] - neighbour.rotate(neighbour.offset), own);
+          const LayerPlace there = continued(neighbour, Vec2f::Zero());
+          if (there.layer != own.layer) continue;
+          const Vec2f step = layers_.difference(own.layer, there.at, own.at);
           if (step.cwiseAbs().maxCoeff() < reach) sum += step, weight += 1;
         }
-        moved[i] = wrap(own + sum / weight);
+        moved[i] = layers_.wrap(own.layer, own.at + sum / weight);
       });
-      for (std::size_t i = 0; i < level.vertices.size(); ++i) result_.coordinate[level.vertices[i]] = moved[i];
+      for (std::size_t i = 0; i < level.vertices.size(); ++i) place_[level.vertices[i]].at = moved[i];
     }
   }
 
   void measure_coherence(const SynthesisLevel& level) {
     result_.coherence.assign(level.vertices.size(), 1.0f);
     parallel_for(level.vertices.size(), [&](std::size_t i) {
+      const LayerPlace& own = place_[level.vertices[i]];
       int used = 0, coherent = 0;
-      for (int s = 0; s < slot_count; ++s) {
-        const TangentNeighbour& neighbour = level.neighbours[i * slot_count + s];
+      for (int s = 0; s < slots; ++s) {
+        const TangentNeighbour& neighbour = level.neighbour(i, s);
         if (neighbour.vertex < 0) continue;
-        const Vec2f step = difference(result_.coordinate[neighbour.vertex] - neighbour.rotate(neighbour.offset),
-                                      result_.coordinate[level.vertices[i]]);
+        const LayerPlace there = continued(neighbour, Vec2f::Zero());
         ++used;
-        coherent += step.cwiseAbs().maxCoeff() < 1.0f;
+        coherent +=
+            there.layer == own.layer && layers_.difference(own.layer, there.at, own.at).cwiseAbs().maxCoeff() < 1.0f;
       }
       if (used > 0) result_.coherence[level.vertices[i]] = static_cast<float>(coherent) / static_cast<float>(used);
     });
   }
 
+  // Coordinates of the samples as they are; the turns go into the directions.
+  void write_result() {
+    TexturedSurface& surface = result_.surface;
+    result_.comparisons = comparisons_;
+    result_.coordinate.resize(place_.size());
+    result_.sample.resize(place_.size());
+    parallel_for(place_.size(), [&](std::size_t v) {
+      const int turn = layers_.turn_of(place_[v].layer);
+      const LayerPlace base = layers_.turned(place_[v], -turn);
+      result_.coordinate[v] = layers_.wrap(base.layer, base.at);
+      result_.sample[v] = base.layer;
+      if (turn == 0) return;
+      const Vec3 u = surface.directions.row(v).transpose(), n = surface.normals.row(v).transpose();
+      const int quarters = layers_[place_[v].layer].turn;
+      const Vec3 across = n.cross(u);
+      surface.directions.row(v) = (quarters == 1 ? across : quarters == 2 ? Vec3(-u) : Vec3(-across)).transpose();
+    });
+  }
+
   const TextonSet& textons_;
+  const SampleLayers& layers_;
   SurfaceTexture& result_;
   const SynthesisOptions& options_;
-  const Eigen::Vector2i size_;
+  std::vector<LayerPlace> place_;  // of each vertex
+  std::vector<float> reluctance_;  // n×samples; empty with one sample
+  float appearance_scale_ = 0;
+  std::atomic<long> comparisons_ = 0;
 };
 
-}  // namespace
-
-SurfaceTexture synthesize_surface(const TriangleMesh& mesh, const TextonSet& textons, const SynthesisOptions& options,
-                                  Progress& progress) {
+void check_inputs(const TriangleMesh& mesh, const TextonSet& textons, const SurfacePaint& paint) {
   if (mesh.face_count() == 0) throw InputError("a mesh without faces cannot be textured");
   const double spacing = mean_edge_length(mesh);
   if (!(spacing > 0.4 * textons.voxel && spacing < 1.7 * textons.voxel))
     throw InputError("the mesh's mean edge length is " + std::to_string(spacing) + " mm and the sample's voxel " +
                      std::to_string(textons.voxel) + " mm; they must match; try sg-prepare --spacing " +
                      std::to_string(textons.voxel));
+  const std::size_t n = mesh.vertex_count();
+  if (textons.layers.sample_count > 1 && paint.sample.empty())
+    throw InputError("there are " + std::to_string(textons.layers.sample_count) +
+                     " samples, but nothing says which vertex takes which");
+  if ((!paint.sample.empty() && paint.sample.size() != n) ||
+      (!paint.direction.empty() && paint.direction.size() != n) || (!paint.scale.empty() && paint.scale.size() != n))
+    throw InternalError("one value of the paint a vertex expected");
+  for (std::int32_t s : paint.sample)
+    if (s < 0 || s >= textons.layers.sample_count)
+      throw InputError("a vertex wants sample " + std::to_string(s) + ", but there are " +
+                       std::to_string(textons.layers.sample_count) + ", counted from 0");
+  for (float s : paint.scale)
+    if (!(s >= 0.25f && s <= 4)) throw InputError("the sample's scale must be within 0.25 and 4");
+}
+
+// Painted directions that run along the surface.
+void add_painted(const SurfacePaint& paint, const TexturedSurface& surface,
+                 std::vector<DirectionConstraint>& constraints) {
+  for (std::size_t v = 0; v < paint.direction.size(); ++v) {
+    const Vec3 wanted = paint.direction[v].cast<double>(), n = surface.normals.row(v).transpose();
+    if (!wanted.allFinite() || !((wanted - n * n.dot(wanted)).norm() > 0.1 * wanted.norm())) continue;
+    constraints.push_back({surface.mesh.vertex(static_cast<int>(v)), wanted, static_cast<std::int32_t>(v)});
+  }
+}
+
+}  // namespace
+
+SurfaceTexture synthesize_surface(const TriangleMesh& mesh, const TextonSet& textons, const SynthesisOptions& options,
+                                  Progress& progress) {
+  check_inputs(mesh, textons, options.paint);
   SurfaceTexture result;
   TexturedSurface& surface = result.surface;
   surface.mesh = mesh;
   surface.half_edges = build_half_edges(mesh);
   surface.normals = vertex_normals(mesh);
+  surface.scale = options.paint.scale;
   result.hierarchy = build_vertex_hierarchy(mesh, surface.half_edges, surface.normals, textons.voxel,
                                             static_cast<int>(textons.levels.size()), options.seed);
-  surface.directions = make_direction_field(mesh, surface.normals, result.hierarchy, options.direction, options.orient);
-  const std::vector<int> indices = direction_field_indices(mesh, surface.normals, surface.directions);
+  std::vector<DirectionConstraint> constraints = options.orient;
+  add_painted(options.paint, surface, constraints);
+  const int symmetry = textons.layers.symmetry;
+  surface.directions =
+      make_direction_field(mesh, surface.normals, result.hierarchy, options.direction, constraints, symmetry);
+  const std::vector<int> indices = direction_field_indices(mesh, surface.normals, surface.directions, symmetry);
   for (int f = 0; f < mesh.face_count(); ++f)
     if (indices[f] != 0)
       result.singularities.push_back(
           {(mesh.vertex(mesh.faces(f, 0)) + mesh.vertex(mesh.faces(f, 1)) + mesh.vertex(mesh.faces(f, 2))) / 3,
-           indices[f]});
+           static_cast<double>(indices[f]) / symmetry});
   Synthesizer(textons, result, options).run(progress);
   return result;
 }

@@ -38,6 +38,10 @@ struct QualityOptions {
   std::uint64_t seed = 0;
 };
 
+// For each of the vertices the distance of its 5×5 window to the samples' nearest, over their variance.
+std::vector<double> window_distances(const SurfaceTexture& texture, const TextonSet& textons,
+                                     const std::vector<int>& vertices);
+
 // Source: [STF §6] for what is compared; the figures are our own.
 SynthesisQuality measure_synthesis(const SurfaceTexture& texture, const TextonSet& textons,
                                    const QualityOptions& options = {});

@@ -10,7 +10,8 @@
 namespace shellgrid {
 
 TangentNeighbour find_tangent_neighbour(const TexturedSurface& surface, const VertexHierarchy::Level& level, int vertex,
-                                        const Vec2& offset, double voxel) {
+                                        const Vec2& offset, double voxel, int symmetry) {
+  const double texel = surface.texel_length(vertex, voxel);
   TangentNeighbour neighbour;
   const double length = offset.norm();
   const Vec3 normal = surface.normals.row(vertex).transpose();
@@ -21,7 +22,7 @@ TangentNeighbour find_tangent_neighbour(const TexturedSurface& surface, const Ve
   if (length > 0) {
     const Vec2 heading = offset / length;
     const SurfaceWalkEnd end = walk_from_vertex(surface.mesh, surface.half_edges, vertex, normal,
-                                                heading.x() * u + heading.y() * v, length * voxel);
+                                                heading.x() * u + heading.y() * v, length * texel);
     if (end.face < 0) return neighbour;
     position = end.position;
     at_normal = end.normal;
@@ -45,13 +46,17 @@ TangentNeighbour find_tangent_neighbour(const TexturedSurface& surface, const Ve
   const Vec3 carried = carry_tangent(at_u, at_normal, n);
   const Vec3 own_u = surface.directions.row(nearest).transpose();
   const Vec2 turn(carried.dot(own_u), carried.dot(n.cross(own_u)));
-  const double scale = turn.norm();
   neighbour.vertex = nearest;
-  neighbour.offset = (offset + flat / voxel).cast<float>();
-  if (scale > 1e-9) {
-    neighbour.cosine = static_cast<float>(turn.x() / scale);
-    neighbour.sine = static_cast<float>(turn.y() / scale);
+  neighbour.offset = (offset + flat / texel).cast<float>();
+  double angle = turn.norm() > 1e-9 ? std::atan2(turn.y(), turn.x()) : 0.0;
+  if (symmetry > 1) {
+    const double period = 2 * M_PI / symmetry;
+    neighbour.turn = static_cast<int>(std::lround(angle / period));
+    angle -= period * neighbour.turn;
   }
+  const double ratio = texel / surface.texel_length(nearest, voxel);
+  neighbour.cosine = static_cast<float>(ratio * std::cos(angle));
+  neighbour.sine = static_cast<float>(ratio * std::sin(angle));
   return neighbour;
 }
 

@@ -48,13 +48,14 @@ AttributedMesh attach_texture(const SurfaceTexture& texture, const TextonSet& te
   add("direction_x", [&](int v) { return texture.surface.directions(v, 0); });
   add("direction_y", [&](int v) { return texture.surface.directions(v, 1); });
   add("direction_z", [&](int v) { return texture.surface.directions(v, 2); });
-  add("s", [&](int v) { return texture.coordinate[v].x() / textons.width; });
-  add("t", [&](int v) { return texture.coordinate[v].y() / textons.height; });
+  const SampleLayers& layers = textons.layers;
+  add("s", [&](int v) { return texture.coordinate[v].x() / layers[texture.sample[v]].width; });
+  add("t", [&](int v) { return texture.coordinate[v].y() / layers[texture.sample[v]].height; });
+  if (layers.sample_count > 1) add("sample", [&](int v) { return texture.sample[v]; });
   add_colors(
       result,
       [&](int v) {
-        const Vec2f& c = texture.coordinate[v];
-        return textons.color[static_cast<std::size_t>(c.y()) * textons.width + static_cast<std::size_t>(c.x())];
+        return textons.color[layers.texel({texture.sample[v], texture.coordinate[v]})];
       },
       [&](int v) { return texture.coherence[v]; });
   return result;
@@ -135,55 +136,61 @@ AttributedMesh view_sample(const MaterialSample& sample) {
 }
 
 AttributedMesh view_textons(const TextonSet& textons) {
-  const int w = textons.width, h = textons.height;
   AttributedMesh view;
-  view.mesh.vertices.resize(2 * w * h, 3);
-  const double thickness = textons.voxel;
-  for (int side = 0; side < 2; ++side)
-    for (int y = 0; y < h; ++y)
-      for (int x = 0; x < w; ++x)
-        view.mesh.vertices.row(side * w * h + y * w + x) << x * textons.voxel, y * textons.voxel, -side * thickness;
+  const int texels = textons.layers.base_texel_count();
+  view.mesh.vertices.resize(2 * texels, 3);
   std::vector<Eigen::RowVector3i> faces;
   const auto quad = [&](int a, int b, int c, int d) {
     faces.emplace_back(a, b, c);
     faces.emplace_back(a, c, d);
   };
-  const auto top = [&](int x, int y) { return y * w + x; };
-  const auto bottom = [&](int x, int y) { return w * h + y * w + x; };
-  for (int y = 0; y + 1 < h; ++y)
+  double left = 0;
+  for (int s = 0; s < textons.layers.sample_count; ++s) {
+    const SampleLayer& layer = textons.layers[s];
+    const int w = layer.width, h = layer.height;
+    const auto top = [&](int x, int y) { return layer.first + y * w + x; };
+    const auto bottom = [&](int x, int y) { return texels + layer.first + y * w + x; };
+    for (int y = 0; y < h; ++y)
+      for (int x = 0; x < w; ++x) {
+        view.mesh.vertices.row(top(x, y)) << left + x * textons.voxel, y * textons.voxel, 0;
+        view.mesh.vertices.row(bottom(x, y)) << left + x * textons.voxel, y * textons.voxel, -textons.voxel;
+      }
+    left += (w + 4) * textons.voxel;
+    for (int y = 0; y + 1 < h; ++y)
+      for (int x = 0; x + 1 < w; ++x) {
+        quad(top(x, y), top(x + 1, y), top(x + 1, y + 1), top(x, y + 1));
+        quad(bottom(x, y), bottom(x, y + 1), bottom(x + 1, y + 1), bottom(x + 1, y));
+      }
     for (int x = 0; x + 1 < w; ++x) {
-      quad(top(x, y), top(x + 1, y), top(x + 1, y + 1), top(x, y + 1));
-      quad(bottom(x, y), bottom(x, y + 1), bottom(x + 1, y + 1), bottom(x + 1, y));
+      quad(bottom(x, 0), bottom(x + 1, 0), top(x + 1, 0), top(x, 0));
+      quad(bottom(x + 1, h - 1), bottom(x, h - 1), top(x, h - 1), top(x + 1, h - 1));
     }
-  for (int x = 0; x + 1 < w; ++x) {
-    quad(bottom(x, 0), bottom(x + 1, 0), top(x + 1, 0), top(x, 0));
-    quad(bottom(x + 1, h - 1), bottom(x, h - 1), top(x, h - 1), top(x + 1, h - 1));
-  }
-  for (int y = 0; y + 1 < h; ++y) {
-    quad(bottom(0, y + 1), bottom(0, y), top(0, y), top(0, y + 1));
-    quad(bottom(w - 1, y), bottom(w - 1, y + 1), top(w - 1, y + 1), top(w - 1, y));
+    for (int y = 0; y + 1 < h; ++y) {
+      quad(bottom(0, y + 1), bottom(0, y), top(0, y), top(0, y + 1));
+      quad(bottom(w - 1, y), bottom(w - 1, y + 1), top(w - 1, y + 1), top(w - 1, y));
+    }
   }
   view.mesh.faces.resize(static_cast<Eigen::Index>(faces.size()), 3);
   for (std::size_t f = 0; f < faces.size(); ++f) view.mesh.faces.row(static_cast<Eigen::Index>(f)) = faces[f];
   // Three components, each stretched over four standard deviations.
   const std::vector<float>& appearance = textons.levels.front().appearance;
   Vec3f deviation = Vec3f::Zero();
-  for (int t = 0; t < w * h; ++t)
+  for (int t = 0; t < texels; ++t)
     for (int c = 0; c < 3; ++c)
       deviation[c] += std::pow(appearance[static_cast<std::size_t>(t) * TextonSet::dimension + c], 2.0f);
-  deviation = (deviation / static_cast<float>(w * h)).cwiseSqrt().cwiseMax(1e-12f);
+  deviation = (deviation / static_cast<float>(texels)).cwiseSqrt().cwiseMax(1e-12f);
   add_colors(
       view,
       [&](int v) {
-        const int texel = v % (w * h);
+        const int texel = v % texels;
         Vec3f color;
         for (int c = 0; c < 3; ++c)
-          color[c] = v < w * h ? 128 + 64 * appearance[static_cast<std::size_t>(texel) * TextonSet::dimension + c] /
-                                           deviation[c]
-                               : static_cast<float>(255 * to_unit(hash64(textons.textons[texel], c)));
+          color[c] = v < texels ? 128 + 64 * appearance[static_cast<std::size_t>(texel) * TextonSet::dimension + c] /
+                                            deviation[c]
+                                : static_cast<float>(255 * to_unit(hash64(textons.textons[texel], c)));
         return color;
       },
-      [&](int v) { return static_cast<float>(textons.textons[v % (w * h)]); });
+      [&](int v) { return static_cast<float>(textons.textons[v % texels]); });
   return view;
 }
 

@@ -56,6 +56,18 @@ std::string point_text(const Vec3& p) {
   return text;
 }
 
+// Of the vectors that a turn by 360°/symmetry about `from_normal` makes of `vector`, the one nearest to `own`, which is
+// tangent where the normal is `normal`.
+Vec3 nearest_turn(const Vec3& vector, const Vec3& from_normal, const Vec3& own, int symmetry) {
+  if (symmetry == 1) return vector;
+  const double along = vector.dot(own);
+  if (symmetry == 2) return along < 0 ? Vec3(-vector) : vector;
+  const Vec3 across = from_normal.cross(vector);
+  const double beside = across.dot(own);
+  if (std::abs(along) >= std::abs(beside)) return along < 0 ? Vec3(-vector) : vector;
+  return beside < 0 ? Vec3(-across) : across;
+}
+
 struct FixedVector {
   std::int32_t vertex;
   Vec3 direction;  // unit, tangent
@@ -67,8 +79,10 @@ std::vector<FixedVector> fix_vectors(const TriangleMesh& mesh, const VertexMatri
   for (const DirectionConstraint& constraint : constraints) {
     if (!constraint.point.allFinite() || !constraint.direction.allFinite() || !(constraint.direction.norm() > 0))
       throw InputError("the direction wanted at " + point_text(constraint.point) + " is not a direction");
-    Eigen::Index nearest = 0;
-    (mesh.vertices.rowwise() - constraint.point.transpose()).rowwise().squaredNorm().minCoeff(&nearest);
+    Eigen::Index nearest = constraint.vertex;
+    if (constraint.vertex >= mesh.vertex_count()) throw InternalError("a direction for a vertex that is not there");
+    if (nearest < 0)
+      (mesh.vertices.rowwise() - constraint.point.transpose()).rowwise().squaredNorm().minCoeff(&nearest);
     const Vec3 n = normals.row(nearest).transpose(), d = constraint.direction.normalized();
     if ((d - n * n.dot(d)).norm() < 0.05)
       throw InputError("the direction wanted at " + point_text(constraint.point) +
@@ -82,7 +96,8 @@ std::vector<FixedVector> fix_vectors(const TriangleMesh& mesh, const VertexMatri
 
 VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& normals,
                                   const VertexHierarchy& hierarchy, const Vec3& preferred,
-                                  const std::vector<DirectionConstraint>& constraints) {
+                                  const std::vector<DirectionConstraint>& constraints, int symmetry) {
+  if (symmetry != 1 && symmetry != 2 && symmetry != 4) throw InternalError("no direction field of that symmetry");
   if (!(preferred.norm() > 0) || !preferred.allFinite()) throw InputError("preferred direction must not be zero");
   VertexMatrix field(mesh.vertex_count(), 3);
   const std::vector<FixedVector> fixed = fix_vectors(mesh, normals, constraints);
@@ -113,8 +128,10 @@ VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& 
       for (std::size_t i = 0; i < count; ++i) position[level.vertices[i]] = static_cast<std::int32_t>(i);
       for (const FixedVector& f : fixed) {
         const std::int32_t v = level.nearest[f.vertex];
-        wanted[position[v]] +=
-            carry_tangent(f.direction, normals.row(f.vertex).transpose(), normals.row(v).transpose());
+        const Vec3 n = normals.row(v).transpose();
+        const Vec3 carried = carry_tangent(f.direction, normals.row(f.vertex).transpose(), n);
+        Vec3& sum = wanted[position[v]];
+        sum += sum.norm() > 1e-9 ? nearest_turn(carried, n, sum, symmetry) : carried;
       }
       for (std::size_t i = 0; i < count; ++i) {
         if (wanted[i].norm() < 1e-9) continue;
@@ -130,8 +147,11 @@ VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& 
         const std::int32_t v = level.vertices[i];
         const Vec3 own = field.row(v).transpose(), n = normals.row(v).transpose();
         Vec3 sum = own;  // its own share keeps the simultaneous update from oscillating
-        for (std::int32_t at = graph.offsets[i]; at < graph.offsets[i + 1]; ++at)
-          sum += field.row(level.vertices[graph.neighbours[at]]).transpose();
+        for (std::int32_t at = graph.offsets[i]; at < graph.offsets[i + 1]; ++at) {
+          const std::int32_t w = level.vertices[graph.neighbours[at]];
+          const Vec3 other = field.row(w).transpose();
+          sum += symmetry == 1 ? other : nearest_turn(other, normals.row(w).transpose(), own, symmetry);
+        }
         smoothed[i] = !wanted.empty() && wanted[i].norm() > 0.5 ? wanted[i] : tangent_unit(sum, n, own);
       });
       for (std::size_t i = 0; i < count; ++i) field.row(level.vertices[i]) = smoothed[i].transpose();
@@ -149,7 +169,7 @@ Vec3 carry_tangent(const Vec3& tangent, const Vec3& from_normal, const Vec3& to_
 }
 
 std::vector<int> direction_field_indices(const TriangleMesh& mesh, const VertexMatrix& normals,
-                                         const VertexMatrix& field) {
+                                         const VertexMatrix& field, int symmetry) {
   std::vector<int> indices(mesh.face_count(), 0);
   const auto normal_of = [&](int v) { return Vec3(normals.row(v).transpose()); };
   // Angle from the carried vector of `a` to the vector of `b`, seen from outside.
@@ -159,7 +179,9 @@ std::vector<int> direction_field_indices(const TriangleMesh& mesh, const VertexM
     const Vec3 n = normal_of(b);
     const Vec3 carried = carry_tangent(field.row(a).transpose(), normal_of(a), n);
     const Vec3 own = field.row(b).transpose();
-    const double angle = std::atan2(carried.cross(own).dot(n), carried.dot(own));
+    double angle = std::atan2(carried.cross(own).dot(n), carried.dot(own));
+    const double period = 2 * M_PI / symmetry;
+    angle -= period * std::round(angle / period);
     return swapped ? -angle : angle;
   };
   parallel_for(mesh.face_count(), [&](std::size_t f) {
@@ -168,7 +190,7 @@ std::vector<int> direction_field_indices(const TriangleMesh& mesh, const VertexM
     // Solid angle of the normals' triangle: what the frame turns by when carried around it.
     const double solid_angle = 2 * std::atan2(na.dot(nb.cross(nc)), 1 + na.dot(nb) + nb.dot(nc) + nc.dot(na));
     const double total = turn(a, b) + turn(b, c) + turn(c, a) + solid_angle;
-    indices[f] = static_cast<int>(std::lround(total / (2 * M_PI)));
+    indices[f] = static_cast<int>(std::lround(symmetry * total / (2 * M_PI)));
   });
   return indices;
 }

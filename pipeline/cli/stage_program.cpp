@@ -299,7 +299,7 @@ bool StageProgram::Impl::parse(int argc, char** argv) {
   for (std::size_t i = 0; i < table.inputs.size(); ++i) {
     const std::string internal_name = fmt::format("input_{}", i);
     if (table.inputs[i].paths) {
-      positionals.push_back(app.add_option(internal_name, lists.emplace_back())->expected(-1)->allow_extra_args(false));
+      positionals.push_back(app.add_option(internal_name, lists.emplace_back())->expected(1, 1 << 20));
     } else {
       positionals.push_back(app.add_option(internal_name, texts.emplace_back()));
     }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "meshing/formats/mesh_file.h"
@@ -8,26 +9,34 @@
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "synthesis/sample_archive.h"
+#include "synthesis/surface_paint.h"
 #include "synthesis/synthesis_quality.h"
 #include "synthesis/textured_mesh.h"
 
 using namespace shellgrid;
 
 int main(int argc, char** argv) {
-  std::string surface_path, textons_path;
+  std::string surface_path, textons_path, paint_path;
   SynthesisOptions options;
   std::vector<double> direction = {0, 1, 0}, orient;
-  double voxel = 0;
+  double voxel = 0, scale = 1;
   StageProgram program("sg-synthesize", "Grows a sample over a surface: a texture coordinate for every vertex.");
   program.input("surface.ply", surface_path, "mesh with vertices a voxel apart, from sg-prepare");
-  program.input("textons.vdb", textons_path, "how the sample looks, from sg-textons");
+  program.input("textons.vdb", textons_path, "how the samples look, from sg-textons");
+  program.input("painted.ply", paint_path,
+                "a mesh whose vertices say what is wanted there: direction_x/y/z, scale, and which of several samples: "
+                "sample, quality or red",
+                true);
   program.output("synthesized.ply", "the mesh with texture_u, texture_v, direction_x/y/z and colours");
   program.option("--voxel", voxel, "mm", "edge of a voxel; 0 takes the sample's", 0, 1e4);
+  program.option("--scale", scale, "", "how much larger than it is the sample appears along the surface", 0.25, 4);
   program.option("--direction", direction, "", "the texture's u runs this way where the surface allows");
   program.list_option("--orient", orient, "mm",
                       "where it must run otherwise: point and direction x,y,z,dx,dy,dz, and so on", -1e9, 1e9);
   program.option("--passes", options.passes, "", "correction passes at each level but the finest", 0, 100);
   program.option("--final-passes", options.final_passes, "", "correction passes at the finest level", 0, 100);
+  program.option("--window-passes", options.window_passes, "", "then rounds of discrete optimisation of 5x5 windows", 0,
+                 100);
   program.option("--relaxation", options.relaxation_sweeps, "", "smoothing sweeps within patches after each pass", 0,
                  100);
   program.option("--jitter", options.jitter, "texels", "random shift of coordinates at coarse levels", 0, 10);
@@ -46,6 +55,12 @@ int main(int argc, char** argv) {
     TextonSet textons = restore_textons(read_vdb(textons_path));
     if (voxel > 0) textons.voxel = voxel;
     options.seed = run.seed();
+    if (!paint_path.empty())
+      options.paint = transfer_paint(read_mesh(paint_path), surface.mesh, textons.layers.sample_count, paint_path);
+    if (scale != 1) {
+      options.paint.scale.resize(surface.mesh.vertex_count(), 1.0f);
+      for (float& s : options.paint.scale) s *= static_cast<float>(scale);
+    }
     run.start_timer("synthesize");
     const SurfaceTexture texture = synthesize_surface(surface.mesh, textons, options, run.progress());
     run.start_timer("judge");
@@ -53,7 +68,7 @@ int main(int argc, char** argv) {
     run.start_timer("write");
     write_ply(run.output(), attach_texture(texture, textons));
     nlohmann::json levels, singularities = nlohmann::json::array();
-    int positive = 0, negative = 0;
+    double positive = 0, negative = 0;
     for (const Singularity& s : texture.singularities) {
       (s.index > 0 ? positive : negative) += std::abs(s.index);
       singularities.push_back({{"point", {s.point.x(), s.point.y(), s.point.z()}}, {"index", s.index}});
@@ -66,8 +81,14 @@ int main(int argc, char** argv) {
                        {"distance_over_variance", w.synthesized},
                        {"random", w.random},
                        {"tiling", w.tiling}});
+    nlohmann::json shares = nlohmann::json::array();
+    for (int s = 0; s < textons.layers.sample_count; ++s)
+      shares.push_back(static_cast<double>(std::count(texture.sample.begin(), texture.sample.end(), s)) /
+                       static_cast<double>(texture.sample.size()));
     run.results() = {{"vertices", texture.coordinate.size()},
                      {"level_vertices", levels},
+                     {"sample_shares", shares},
+                     {"symmetry", textons.layers.symmetry},
                      {"singularities_positive", positive},
                      {"singularities_negative", negative},
                      {"singularities", singularities},

@@ -11,10 +11,12 @@
 using namespace shellgrid;
 
 int main(int argc, char** argv) {
-  std::string sample_path, method = "appearance";
+  std::vector<std::string> sample_paths;
+  std::string method = "appearance", symmetry = "auto";
   TextonOptions options;
   StageProgram program("sg-textons", "Describes how each texel of a sample and its surroundings look.");
-  program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
+  program.inputs("sample.vdb", sample_paths,
+                 "the base volume, from sg-sample; several for several areas of one object");
   program.output("textons.vdb", "appearance vectors, textons and candidate sets");
   program.output_beside(".view.ply");
   program.option("--method", method, "what synthesis compares: appearance vectors, or textons as the paper does",
@@ -22,21 +24,39 @@ int main(int argc, char** argv) {
   program.option("--candidates", options.candidate_count, "", "most alike texels kept for each texel and level", 1, 8);
   program.option("--separation", options.separation, "texels", "least distance between these", 1, 64);
   program.option("--textons", options.texton_count, "", "number of textons", 2, 4096);
+  program.option(
+      "--symmetry", symmetry,
+      "turns after which the sample looks alike, so that synthesis may lay it in any of them: 1 none, 2 half "
+      "turns, 4 quarter turns; auto recognises them",
+      {"auto", "1", "2", "4"});
   program.example("sg-textons sample.vdb -o textons.vdb", "ready for sg-synthesize");
+  program.example("sg-textons moss.vdb stone.vdb -o textons.vdb", "two samples that are to share a surface");
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
-    const MaterialSample sample = restore_sample(read_vdb(sample_path));
+    std::vector<MaterialSample> samples;
+    for (const std::string& path : sample_paths) samples.push_back(restore_sample(read_vdb(path)));
+    std::vector<const MaterialSample*> all;
+    for (const MaterialSample& sample : samples) all.push_back(&sample);
     run.start_timer("analyse");
     options.seed = run.seed();
     options.quantize = method == "textons";
+    options.symmetry = symmetry == "auto" ? 0 : std::stoi(symmetry);
     TextonStatistics statistics;
-    const TextonSet textons = make_textons(sample, options, &statistics, run.progress());
+    const TextonSet textons = make_textons(all, options, &statistics, run.progress());
     run.start_timer("write");
     write_vdb(run.output(), archive_textons(textons));
     const std::string view = view_path(run.output());
     write_ply(view, view_textons(textons));
     run.note_output(view);
-    run.results() = {{"size", {textons.width, textons.height}},
+    nlohmann::json sizes = nlohmann::json::array(), turned = nlohmann::json::array();
+    for (int s = 0; s < textons.layers.sample_count; ++s)
+      sizes.push_back({textons.layers[s].width, textons.layers[s].height});
+    for (const SampleSymmetry& s : statistics.symmetry)
+      turned.push_back(
+          {{"symmetry", s.symmetry}, {"unlike_by_half_turn", s.half_turn}, {"unlike_by_quarter_turn", s.quarter_turn}});
+    run.results() = {{"sizes", sizes},
+                     {"symmetry", textons.layers.symmetry},
+                     {"recognised", turned},
                      {"levels", textons.levels.size()},
                      {"textons", textons.texton_count},
                      {"feature_variance_kept", statistics.feature_variance_kept},

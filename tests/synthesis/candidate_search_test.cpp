@@ -43,6 +43,10 @@ RowMatrixf appearance(int count, int values, std::uint64_t seed) {
   return rows;
 }
 
+std::vector<std::int32_t> find_candidates(const RowMatrixf& rows, int width, int height, int k, int separation) {
+  return shellgrid::find_candidates(rows, SampleLayers::make({{width, height}}, 1), {0}, {0}, k, separation);
+}
+
 TEST(CandidateSearch, EqualsExhaustionAlsoWhereManyLookAlike) {
   for (int values : {1, 2, 5, 100})
     for (int separation : {1, 3, 6}) {

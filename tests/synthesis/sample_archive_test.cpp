@@ -42,10 +42,15 @@ TEST(SampleArchive, SamplesComeBackBitForBit) {
 TEST(SampleArchive, TextonsComeBackBitForBit) {
   TextonOptions options;
   options.texton_count = 25;
-  const TextonSet set = make_textons(make_procedural_sample(testing::marble(40)), options);
+  options.symmetry = 4;
+  SampleDefinition wide = testing::marble(40);
+  wide.width = 48;
+  const MaterialSample first = make_procedural_sample(testing::marble(40)), second = make_procedural_sample(wide);
+  const TextonSet set = make_textons({&first, &second}, options);
   const TextonSet back = restore_textons(through_file(archive_textons(set)));
-  EXPECT_EQ(back.width, set.width);
-  EXPECT_EQ(back.height, set.height);
+  EXPECT_EQ(back.layers.symmetry, set.layers.symmetry);
+  EXPECT_EQ(back.layers.sample_count, set.layers.sample_count);
+  EXPECT_EQ(back.texel_count(), set.texel_count());
   EXPECT_EQ(back.voxel, set.voxel);
   EXPECT_TRUE(back.features == set.features);
   EXPECT_TRUE(back.textons == set.textons);

@@ -5,6 +5,7 @@
 #include <oneapi/tbb/global_control.h>
 
 #include <cmath>
+#include <numeric>
 #include <set>
 
 #include "meshing/core/error.h"
@@ -157,6 +158,117 @@ TEST(SurfaceSynthesis, SameAtAnyThreadCountAndAnotherForAnotherSeed) {
   const std::vector<Vec2f> first = run(1, 5);
   EXPECT_TRUE(first == run(3, 5));
   EXPECT_FALSE(first == run(1, 6));
+}
+
+TEST(SurfaceSynthesis, WorkGrowsLinearlyWithTheVertices) {
+  const TextonSet textons = marble_textons(64);
+  const auto per_vertex = [&](double size, int around, int across) {
+    const SurfaceTexture texture = synthesize_surface(testing::torus(size, 0.4 * size, around, across), textons, {});
+    return static_cast<double>(texture.comparisons) / static_cast<double>(texture.coordinate.size());
+  };
+  const double few = per_vertex(5, 79, 31), many = per_vertex(20, 314, 126);
+  EXPECT_LT(many, 1.1 * few);
+  EXPECT_GT(many, 0.5 * few);
+}
+
+TEST(SurfaceSynthesis, SymmetricSamplesHaveMilderSingularities) {
+  TextonOptions textons_options;
+  textons_options.texton_count = 40;
+  const MaterialSample sample = make_procedural_sample(testing::cells(48));
+  for (int symmetry : {1, 2, 4}) {
+    textons_options.symmetry = symmetry;
+    const TextonSet textons = make_textons(sample, textons_options);
+    const SurfaceTexture texture = synthesize_surface(testing::sphere(9, 5), textons, {});
+    double sum = 0;
+    for (const Singularity& s : texture.singularities) {
+      EXPECT_NEAR(std::abs(s.index), 1.0 / symmetry, 1e-12);
+      sum += s.index;
+    }
+    EXPECT_NEAR(sum, 2, 1e-9);
+    const SynthesisQuality quality = measure_synthesis(texture, textons);
+    EXPECT_LT(quality.window_distance, quality.random / 2) << symmetry;
+    EXPECT_GT(quality.coherence, 0.5) << symmetry;
+    // Where neighbours continue each other, also across the turns of the field, their directions agree.
+    const TriangleMesh& mesh = texture.surface.mesh;
+    int continued = 0, agreeing = 0;
+    for (int f = 0; f < mesh.face_count(); ++f) {
+      const int a = mesh.faces(f, 0), b = mesh.faces(f, 1);
+      const double length = (mesh.vertex(a) - mesh.vertex(b)).norm() / textons.voxel;
+      const Vec2f step = textons.layers.difference(0, texture.coordinate[a], texture.coordinate[b]);
+      if (std::abs(step.norm() - length) > 0.1) continue;
+      ++continued;
+      agreeing += texture.surface.directions.row(a).dot(texture.surface.directions.row(b)) > 0.7;
+    }
+    EXPECT_GT(continued, mesh.face_count() / 5);
+    EXPECT_GT(agreeing, 0.97 * continued) << symmetry;
+  }
+}
+
+TEST(SurfaceSynthesis, SamplesKeepToTheirAreasAndMeetInTheBorder) {
+  const MaterialSample first = make_procedural_sample(testing::spots(40)),
+                       second = make_procedural_sample(testing::cells(48));
+  TextonOptions textons_options;
+  textons_options.texton_count = 40;
+  const TextonSet textons = make_textons({&first, &second}, textons_options);
+  const TriangleMesh mesh = testing::torus(8, 3, 125, 47);
+  SynthesisOptions options;
+  EXPECT_THROW(synthesize_surface(mesh, textons, options), InputError);
+  for (int v = 0; v < mesh.vertex_count(); ++v) options.paint.sample.push_back(mesh.vertex(v).x() > 0);
+  const SurfaceTexture texture = synthesize_surface(mesh, textons, options);
+  int crossed = 0;
+  for (int v = 0; v < mesh.vertex_count(); ++v) {
+    const SampleLayer& layer = textons.layers[texture.sample[v]];
+    ASSERT_TRUE(texture.coordinate[v].x() < layer.width && texture.coordinate[v].y() < layer.height);
+    if (texture.sample[v] == options.paint.sample[v]) continue;
+    ++crossed;
+    EXPECT_LT(std::abs(mesh.vertex(v).x()), options.blend_width * textons.voxel);
+  }
+  EXPECT_GT(crossed, 0);
+  const SynthesisQuality quality = measure_synthesis(texture, textons);
+  EXPECT_LT(quality.window_distance, quality.random / 2);
+  // Without a border to blend in, the areas are the user's exactly.
+  options.blend_width = 0;
+  EXPECT_TRUE(synthesize_surface(mesh, textons, options).sample == options.paint.sample);
+  options.paint.sample[7] = 2;
+  EXPECT_THROW(synthesize_surface(mesh, textons, options), InputError);
+}
+
+TEST(SurfaceSynthesis, ScaleAndDirectionsFollowThePaint) {
+  const TextonSet textons = marble_textons(48);
+  const TriangleMesh mesh = testing::patch(60, 0.4);
+  SynthesisOptions options;
+  options.direction = Vec3(1, 0, 0);
+  const auto texels_along_x = [&](double from, double to) {
+    const SurfaceTexture texture = synthesize_surface(mesh, textons, options);
+    double sum = 0, count = 0;
+    for (int v = 0; v + 1 < mesh.vertex_count(); ++v) {
+      if (mesh.vertex(v).x() < from || mesh.vertex(v).x() > to || texture.coherence[v] < 0.9f) continue;
+      const Vec2f step = textons.layers.difference(0, texture.coordinate[v + 1], texture.coordinate[v]);
+      if (step.norm() > 4) continue;
+      sum += step.x(), count += 1;
+    }
+    return sum / std::max(1.0, count);
+  };
+  EXPECT_NEAR(texels_along_x(1, 23), 1, 0.1);
+  options.paint.scale.assign(mesh.vertex_count(), 2.0f);
+  EXPECT_NEAR(texels_along_x(1, 23), 0.5, 0.1);
+  for (int v = 0; v < mesh.vertex_count(); ++v) options.paint.scale[v] = mesh.vertex(v).x() < 12 ? 1.0f : 1.5f;
+  EXPECT_NEAR(texels_along_x(14, 23), 1 / 1.5, 0.12);
+  options.paint.scale.clear();
+  // Painted on two strips; what is not painted follows.
+  options.paint.direction.assign(mesh.vertex_count(), Vec3f::Zero());
+  for (int v = 0; v < mesh.vertex_count(); ++v)
+    if (mesh.vertex(v).x() < 2)
+      options.paint.direction[v] = Vec3f(0, 3, 0);
+    else if (mesh.vertex(v).x() > 22)
+      options.paint.direction[v] = Vec3f(-1, 1, 5);  // its part along the surface counts
+  const SurfaceTexture texture = synthesize_surface(mesh, textons, options);
+  for (int v = 0; v < mesh.vertex_count(); ++v) {
+    const Vec3 d = texture.surface.directions.row(v).transpose();
+    if (mesh.vertex(v).x() < 2) EXPECT_GT(d.y(), 0.999);
+    if (mesh.vertex(v).x() > 22) EXPECT_LT(d.x(), -0.7);
+    if (mesh.vertex(v).x() > 10 && mesh.vertex(v).x() < 14) EXPECT_GT(d.dot(Vec3(-0.38, 0.92, 0)), 0.9);
+  }
 }
 
 TEST(SurfaceSynthesis, RefusesAMeshTooCoarseForTheSample) {
