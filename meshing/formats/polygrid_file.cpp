@@ -18,8 +18,19 @@ DataArray array_of(const std::string& name, const Eigen::PlainObjectBase<Derived
           std::vector<T>(matrix.data(), matrix.data() + matrix.size())};
 }
 
+// The same, which leaves the matrix empty.
+template <class T, class Derived>
+DataArray take_array(const std::string& name, Eigen::PlainObjectBase<Derived>& matrix) {
+  DataArray array = array_of<T>(name, matrix);
+  matrix.resize(0, Derived::ColsAtCompileTime);
+  return array;
+}
+
 template <class Matrix>
 void append_cells(UnstructuredGrid& grid, const Matrix& cells, std::uint8_t type) {
+  grid.connectivity.reserve(grid.connectivity.size() + static_cast<std::size_t>(cells.size()));
+  grid.offsets.reserve(grid.offsets.size() + static_cast<std::size_t>(cells.rows()));
+  grid.types.reserve(grid.types.size() + static_cast<std::size_t>(cells.rows()));
   for (Eigen::Index c = 0; c < cells.rows(); ++c) {
     for (Eigen::Index k = 0; k < cells.cols(); ++k) grid.connectivity.push_back(cells(c, k));
     grid.offsets.push_back(static_cast<std::int64_t>(grid.connectivity.size()));
@@ -74,16 +85,16 @@ void check_indices(const std::string& path, const std::string& name, const std::
 }
 
 // A graph's arrays. Of the finest level they stand among the fields, with `graph_` in front.
-std::vector<DataArray> graph_arrays(const PolygridGraph& graph, const std::string& prefix) {
-  return {array_of<double>(prefix + "interior", graph.interior),
-          array_of<double>(prefix + "boundary", graph.boundary),
-          array_of<double>(prefix + "boundary_normal", graph.boundary_normal),
-          {prefix + "boundary_owner", 1, graph.boundary_owner},
-          {prefix + "boundary_distance", 1, graph.boundary_distance},
-          array_of<std::int32_t>(prefix + "links", graph.links),
-          array_of<double>(prefix + "weights", graph.weights),
-          {prefix + "weight_condition", 1, graph.weight_condition},
-          {prefix + "weight_method", 1, graph.weight_method}};
+void move_graph(PolygridGraph graph, const std::string& prefix, std::vector<DataArray>& to) {
+  to.push_back(take_array<double>(prefix + "interior", graph.interior));
+  to.push_back(take_array<double>(prefix + "boundary", graph.boundary));
+  to.push_back(take_array<double>(prefix + "boundary_normal", graph.boundary_normal));
+  to.push_back({prefix + "boundary_owner", 1, std::move(graph.boundary_owner)});
+  to.push_back({prefix + "boundary_distance", 1, std::move(graph.boundary_distance)});
+  to.push_back(take_array<std::int32_t>(prefix + "links", graph.links));
+  to.push_back(take_array<double>(prefix + "weights", graph.weights));
+  to.push_back({prefix + "weight_condition", 1, std::move(graph.weight_condition)});
+  to.push_back({prefix + "weight_method", 1, std::move(graph.weight_method)});
 }
 
 const DataArray* find_array(const std::vector<DataArray>& arrays, const std::string& name) {
@@ -159,22 +170,25 @@ TetrahedralMesh read_tetrahedra(const std::string& path) {
   return {grid.points, cells_of<TetMatrix>(path, grid, 0, grid.types.size(), vtk_tetrahedron)};
 }
 
-void write_polygrid(const std::string& path, const Polygrid& polygrid) {
+void write_polygrid(const std::string& path, Polygrid polygrid) {
   UnstructuredGrid grid;
-  grid.points = polygrid.points;
+  grid.points = std::move(polygrid.points);
   grid.offsets = {0};
   append_cells(grid, polygrid.cells, vtk_hexahedron);
-  grid.point_data = {array_of<std::int32_t>("lattice", polygrid.point_lattice),
-                     {"outer_twin", 1, polygrid.outer_twin},
-                     array_of<double>("normal", polygrid.point_normal)};
-  grid.cell_data = {{"layer", 1, polygrid.cell_layer}, array_of<std::int32_t>("cell_lattice", polygrid.cell_lattice)};
-  grid.field_data = graph_arrays(polygrid.graph, "graph_");
-  grid.field_data.insert(grid.field_data.begin(), array_of<std::int32_t>("boundary_quads", polygrid.boundary_quads));
-  for (const PolygridLevel& level : polygrid.hierarchy) {
-    grid.levels.push_back(graph_arrays(level.graph, ""));
-    grid.levels.back().push_back(array_of<std::int32_t>("lattice", level.lattice));
-    grid.levels.back().push_back({"parent", 1, level.parent});
-    grid.levels.back().push_back({"boundary_parent", 1, level.boundary_parent});
+  polygrid.cells.resize(0, 8);
+  grid.point_data.push_back(take_array<std::int32_t>("lattice", polygrid.point_lattice));
+  grid.point_data.push_back({"outer_twin", 1, std::move(polygrid.outer_twin)});
+  grid.point_data.push_back(take_array<double>("normal", polygrid.point_normal));
+  grid.cell_data.push_back({"layer", 1, std::move(polygrid.cell_layer)});
+  grid.cell_data.push_back(take_array<std::int32_t>("cell_lattice", polygrid.cell_lattice));
+  grid.field_data.push_back(take_array<std::int32_t>("boundary_quads", polygrid.boundary_quads));
+  move_graph(std::move(polygrid.graph), "graph_", grid.field_data);
+  for (PolygridLevel& level : polygrid.hierarchy) {
+    std::vector<DataArray>& arrays = grid.levels.emplace_back();
+    move_graph(std::move(level.graph), "", arrays);
+    arrays.push_back(take_array<std::int32_t>("lattice", level.lattice));
+    arrays.push_back({"parent", 1, std::move(level.parent)});
+    arrays.push_back({"boundary_parent", 1, std::move(level.boundary_parent)});
   }
   grid.attributes["spacing"] = polygrid.spacing;
   write_vtkhdf(path, grid);

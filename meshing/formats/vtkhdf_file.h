@@ -53,6 +53,7 @@ void write_tetrahedra(const std::string& path, const TetrahedralMesh& mesh);
 // `cells`: all but the graphs and the surface's normals, which stay empty: less than half of the memory.
 enum class PolygridParts { all, cells };
 Polygrid read_polygrid(const std::string& path, PolygridParts parts = PolygridParts::all);
-void write_polygrid(const std::string& path, const Polygrid& polygrid);
+// Moved in, it is written from the memory that it has.
+void write_polygrid(const std::string& path, Polygrid polygrid);
 
 }  // namespace shellgrid

@@ -30,7 +30,7 @@ int main(int argc, char** argv) {
     const VoxelPolycube polycube = read_polycube(polycube_path);
     const TriangleMesh surface = read_mesh(surface_path).mesh;
     run.start_timer("map");
-    const Polygrid polygrid =
+    Polygrid polygrid =
         naming(polycube_path, [&] { return build_polygrid(polycube, surface, options, run.progress()); });
     run.start_timer("measure");
     const PolygridQuality quality = measure_polygrid(polygrid, polycube, surface);
@@ -38,10 +38,11 @@ int main(int argc, char** argv) {
       run.progress().warn(fmt::format("{} of {} boundary points stay off the surface, the farthest by {:.3g} cells",
                                       quality.off_surface, quality.boundary_points, quality.boundary_distance_max));
     run.start_timer("write");
-    write_polygrid(run.output(), polygrid);
     const std::string view = std::filesystem::path(run.output()).replace_extension(".view.ply").string();
     write_ply(view, polygrid_view(polygrid));
     run.note_output(view);
+    const double spacing = polygrid.spacing;
+    write_polygrid(run.output(), std::move(polygrid));
     auto& results = run.results();
     results["nodes"] = quality.nodes;
     results["cubes"] = quality.cubes;
@@ -53,13 +54,13 @@ int main(int argc, char** argv) {
         {"mean", quality.link_angle_mean}, {"max", quality.link_angle_max}, {"over_30", quality.steep_links}};
     results["layer_thickness"] = quality.layer_thickness_mean;
     results["boundary_distance"] = {{"max", quality.boundary_distance_max},
-                                    {"max_mm", quality.boundary_distance_max * polygrid.spacing},
+                                    {"max_mm", quality.boundary_distance_max * spacing},
                                     {"points_off_surface", quality.off_surface}};
     results["coverage"] = {{"p99", quality.coverage_p99}, {"max", quality.coverage_max}};
     results["weights"] = {
         {"condition", {{"median", quality.weight_condition_median}, {"max", quality.weight_condition_max}}},
         {"least_squares", quality.least_squares_weights},
         {"singular", quality.singular_weights}};
-    results["spacing"] = polygrid.spacing;
+    results["spacing"] = spacing;
   });
 }
