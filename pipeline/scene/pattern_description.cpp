@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "pipeline/scene/pattern_description.h"
 
+#include <initializer_list>
+#include <utility>
+
 #include "meshing/core/error.h"
 #include "pipeline/scene/sample_recipe.h"
 
@@ -11,6 +14,19 @@ const std::vector<std::string>& procedural_types() {
                                                  "wood",   "cells", "grass",  "weave"};
   return types;
 }
+
+namespace {
+
+// A pattern's materials: its body, and others by their names.
+void read_materials(DescriptionSection& root, Material& body,
+                    std::initializer_list<std::pair<const char*, Material*>> others) {
+  DescriptionSection materials = root.section("materials");
+  body = read_material(materials.section("body"));
+  for (const auto& [name, material] : others) *material = read_material(materials.section(name));
+  materials.finish();
+}
+
+}  // namespace
 
 SamplePattern read_pattern(DescriptionSection& root, const std::string& type) {
   if (type == "layers") {
@@ -24,48 +40,38 @@ SamplePattern read_pattern(DescriptionSection& root, const std::string& type) {
     pattern.cells = root.integer("cells", 4, 1, 256);
     return pattern;
   }
-  DescriptionSection materials = root.section("materials");
-  const Material body = read_material(materials.section("body"));
   if (type == "wood") {
     WoodPattern pattern;
-    pattern.body = body;
-    pattern.ring = read_material(materials.section("ring"));
+    read_materials(root, pattern.body, {{"ring", &pattern.ring}});
     pattern.ring_width = root.number("ring_width", pattern.ring_width, 1e-3, 1e3);
     pattern.pith_depth = root.number("pith_depth", pattern.pith_depth, -1e4, 1e4);
     pattern.waviness = root.number("waviness", pattern.waviness, 0, 1e3);
     pattern.fibre_length = root.number("fibre_length", pattern.fibre_length, 1e-3, 1e4);
     pattern.fibres = root.number("fibres", pattern.fibres, 0, 5);
     pattern.pores = root.number("pores", pattern.pores, 0, 0.3);
-    materials.finish();
     return pattern;
   }
   if (type == "cells") {
     CellsPattern pattern;
-    pattern.body = body;
-    pattern.wall = read_material(materials.section("wall"));
+    read_materials(root, pattern.body, {{"wall", &pattern.wall}});
     pattern.cells = root.integer("cells", pattern.cells, 1, 256);
     pattern.wall_width = root.number("wall_width", pattern.wall_width, 0, 1e3);
     pattern.variation = root.number("variation", pattern.variation, 0, 5);
     pattern.jitter = root.number("jitter", pattern.jitter, 0, 1);
-    materials.finish();
     return pattern;
   }
   if (type == "grass") {
     GrassPattern pattern;
-    pattern.body = body;
-    pattern.blade = read_material(materials.section("blade"));
+    read_materials(root, pattern.body, {{"blade", &pattern.blade}});
     pattern.count = root.integer("count", pattern.count, 1, 10000);
     pattern.height = root.number("height", pattern.height, 1e-3, 1e3);
     pattern.radius = root.number("radius", pattern.radius, 1e-3, 1e3);
     pattern.bend = root.number("bend", pattern.bend, 0, 1);
-    materials.finish();
     return pattern;
   }
   if (type == "weave") {
     WeavePattern pattern;
-    pattern.body = body;
-    pattern.warp = read_material(materials.section("warp"));
-    pattern.weft = read_material(materials.section("weft"));
+    read_materials(root, pattern.body, {{"warp", &pattern.warp}, {"weft", &pattern.weft}});
     pattern.warp_count = root.integer("warp_count", pattern.warp_count, 1, 256);
     pattern.weft_count = root.integer("weft_count", pattern.weft_count, 1, 256);
     pattern.over = root.integer("over", pattern.over, 1, 16);
@@ -73,34 +79,27 @@ SamplePattern read_pattern(DescriptionSection& root, const std::string& type) {
     pattern.fill = root.number("fill", pattern.fill, 0.05, 1);
     pattern.height = root.number("height", pattern.height, 1e-3, 1e3);
     pattern.strands = root.integer("strands", pattern.strands, 0, 16);
-    materials.finish();
     return pattern;
   }
   if (type == "spots") {
     SpotsPattern pattern;
-    pattern.body = body;
-    pattern.spot = read_material(materials.section("spot"));
+    read_materials(root, pattern.body, {{"spot", &pattern.spot}});
     pattern.count = root.integer("count", pattern.count, 1, 10000);
     pattern.radius = root.number("radius", pattern.radius, 1e-3, 1e3);
     pattern.variation = root.number("variation", pattern.variation, 0, 1);
     pattern.softness = root.number("softness", pattern.softness, 0, 1e3);
-    materials.finish();
     return pattern;
   }
   if (type == "bumps") {
     BumpsPattern pattern;
-    pattern.body = body;
-    pattern.bump = read_material(materials.section("bump"));
+    read_materials(root, pattern.body, {{"bump", &pattern.bump}});
     pattern.count = root.integer("count", pattern.count, 1, 10000);
     pattern.radius = root.number("radius", pattern.radius, 1e-3, 1e3);
     pattern.lift = root.number("lift", pattern.lift, 0, 10);
-    materials.finish();
     return pattern;
   }
   MarblePattern pattern;
-  pattern.body = body;
-  pattern.vein = read_material(materials.section("vein"));
-  materials.finish();
+  read_materials(root, pattern.body, {{"vein", &pattern.vein}});
   pattern.warp = root.number("warp", pattern.warp, 0, 1e3);
   pattern.cloudiness = root.number("cloudiness", pattern.cloudiness, 0, 5);
   for (DescriptionSection& section : root.list("veins")) {

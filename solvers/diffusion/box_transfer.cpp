@@ -278,14 +278,7 @@ void add_coarse_boundary(const BoundaryElement& child, const RunLevel& level, st
     for (int p = 0; p < 8; ++p)
       if (((p ^ octant) & ~(octant ^ k) & 7) == 0)
         w[k][p] = place.get(level.cells.corners[8 * static_cast<std::size_t>(cell) + k], parent_number(octant ^ k, p));
-  for (int a = 0; a < 16; ++a) m[a][a] = Float4{};
-  for (int a = 0; a < 16; ++a)
-    for (int b = a + 1; b < 16; ++b) {
-      const Float4 value = child.coupling(a, b);
-      m[a][b] = m[b][a] = value;
-      m[a][a] -= value;
-      m[b][b] -= value;
-    }
+  fill_from_couplings(m, [&](int a, int b) { return child.coupling(a, b); });
   Float4 right[16][16];
   for (int a = 0; a < 16; ++a)
     for (int q = 0; q < 16; ++q) {

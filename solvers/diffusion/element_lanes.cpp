@@ -157,14 +157,7 @@ void coarsen_elements(const ElementLanes& children, const std::uint8_t* octant, 
     }
   for (int c = 0; c < 3; ++c) {
     Lanes m[8][8];
-    for (int a = 0; a < 8; ++a) m[a][a] = Lanes{};
-    for (int a = 0; a < 8; ++a)
-      for (int b = a + 1; b < 8; ++b) {
-        const Lanes value = children.coupling[c][pair_number(a, b)];
-        m[a][b] = m[b][a] = value;
-        m[a][a] -= value;
-        m[b][b] -= value;
-      }
+    fill_from_couplings(m, [&](int a, int b) { return children.coupling[c][pair_number(a, b)]; });
     for (int axis = 0; axis < 3; ++axis) {
       const int bit = 1 << axis;
       const auto& w = weight[axis];

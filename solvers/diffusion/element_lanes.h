@@ -16,6 +16,19 @@ namespace shellgrid {
 // The number among 28 of the pair of corners a < b.
 inline constexpr int pair_number(int a, int b) { return a * (15 - a) / 2 + b - a - 1; }
 
+// The symmetric matrix with these couplings, coupling(a, b) for a < b, whose rows add up to zero.
+template <class Value, std::size_t size, class Coupling>
+inline void fill_from_couplings(Value (&matrix)[size][size], const Coupling& coupling) {
+  for (std::size_t a = 0; a < size; ++a) matrix[a][a] = Value{};
+  for (std::size_t a = 0; a < size; ++a)
+    for (std::size_t b = a + 1; b < size; ++b) {
+      const Value value = coupling(static_cast<int>(a), static_cast<int>(b));
+      matrix[a][b] = matrix[b][a] = value;
+      matrix[a][a] -= value;
+      matrix[b][b] -= value;
+    }
+}
+
 inline constexpr int slot_of_pair(int a, int b) {
   return slot_of_step((b & 1) - (a & 1), (b >> 1 & 1) - (a >> 1 & 1), (b >> 2) - (a >> 2));
 }

@@ -118,6 +118,31 @@ Polygrid one_cell() {
   return p;
 }
 
+Polygrid one_cell_on_levels() {
+  Polygrid p = one_cell();
+  PolygridLevel level;
+  level.graph = p.graph;
+  level.graph.interior << 4, 5, 1.0 / 3;
+  level.lattice.resize(1, 3);
+  level.lattice << -1, 0, 7;
+  level.parent = {0};
+  level.boundary_parent = {0, 1, 2, 3, -1, 5};
+  p.hierarchy = {level, level};
+  return p;
+}
+
+// Parents that are no nodes of the next level, and lists of another length.
+void expect_checked_parents(Polygrid p, PolygridParts parts) {
+  const TemporaryFolder folder;
+  const auto complaint = [&](const std::vector<std::int32_t>& parents) {
+    p.hierarchy[1].parent = parents;
+    write_polygrid(folder / "p.hdf", p);
+    return input_error_of([&] { read_polygrid(folder / "p.hdf", parts); });
+  };
+  EXPECT_NE(complaint({1}).find("hierarchy/2: the array parent holds 1"), std::string::npos);
+  EXPECT_NE(complaint({0, 0}).find("expected 1×1"), std::string::npos);
+}
+
 TEST(VtkhdfFile, PolygridRoundTrip) {
   const TemporaryFolder folder;
   const Polygrid p = one_cell();
@@ -145,16 +170,7 @@ TEST(VtkhdfFile, PolygridRoundTrip) {
 
 TEST(VtkhdfFile, ThePolygridsHierarchyComesBackAndStandsBesideVtk) {
   const TemporaryFolder folder;
-  Polygrid p = one_cell();
-  PolygridLevel level;
-  level.graph = p.graph;
-  level.graph.interior << 4, 5, 1.0 / 3;
-  level.lattice.resize(1, 3);
-  level.lattice << -1, 0, 7;
-  level.parent = {0};
-  level.boundary_parent = {0, 1, 2, 3, -1, 5};
-  p.hierarchy = {level, level};
-  p.hierarchy[1].parent = {0};
+  const Polygrid p = one_cell_on_levels();
   write_polygrid(folder / "p.hdf", p);
   EXPECT_EQ(read_vtkhdf(folder / "p.hdf").find_field("lattice"), nullptr);
   const Polygrid read = read_polygrid(folder / "p.hdf");
@@ -167,29 +183,15 @@ TEST(VtkhdfFile, ThePolygridsHierarchyComesBackAndStandsBesideVtk) {
     EXPECT_EQ(read.hierarchy[l].parent, p.hierarchy[l].parent);
     EXPECT_EQ(read.hierarchy[l].boundary_parent, p.hierarchy[l].boundary_parent);
   }
-  p.hierarchy[1].parent = {1};
-  write_polygrid(folder / "p.hdf", p);
-  EXPECT_NE(input_error_of([&] { read_polygrid(folder / "p.hdf"); }).find("hierarchy/2: the array parent holds 1"),
-            std::string::npos);
-  p.hierarchy[1].parent = {0, 0};
-  write_polygrid(folder / "p.hdf", p);
-  EXPECT_NE(input_error_of([&] { read_polygrid(folder / "p.hdf"); }).find("expected 1×1"), std::string::npos);
+  expect_checked_parents(p, PolygridParts::all);
 }
 
 TEST(VtkhdfFile, PolygridsCellsAreReadWithoutGraphs) {
   const TemporaryFolder folder;
-  Polygrid p = one_cell();
+  Polygrid p = one_cell_on_levels();
   p.cell_layer = {0};
-  PolygridLevel level;
-  level.graph = p.graph;
-  level.lattice.resize(1, 3);
-  level.lattice << -1, 0, 7;
-  level.parent = {0};
-  level.boundary_parent = {0, 1, 2, 3, -1, 5};
-  p.hierarchy = {level, level};
   write_polygrid(folder / "p.hdf", p);
-  const auto read_cells = [&] { return read_polygrid(folder / "p.hdf", PolygridParts::cells); };
-  const Polygrid read = read_cells();
+  const Polygrid read = read_polygrid(folder / "p.hdf", PolygridParts::cells);
   EXPECT_EQ(read.points, p.points);
   EXPECT_EQ(read.cells, p.cells);
   EXPECT_EQ(read.cell_layer, p.cell_layer);
@@ -202,16 +204,11 @@ TEST(VtkhdfFile, PolygridsCellsAreReadWithoutGraphs) {
   EXPECT_EQ(read.graph.interior.rows(), 0);
   ASSERT_EQ(read.hierarchy.size(), 2u);
   for (const PolygridLevel& coarse : read.hierarchy) {
-    EXPECT_EQ(coarse.lattice, level.lattice);
-    EXPECT_EQ(coarse.parent, level.parent);
+    EXPECT_EQ(coarse.lattice, p.hierarchy[0].lattice);
+    EXPECT_EQ(coarse.parent, p.hierarchy[0].parent);
     EXPECT_EQ(coarse.graph.interior.rows(), 0);
   }
-  p.hierarchy[1].parent = {1};
-  write_polygrid(folder / "p.hdf", p);
-  EXPECT_NE(input_error_of(read_cells).find("hierarchy/2: the array parent holds 1"), std::string::npos);
-  p.hierarchy[1].parent = {0, 0};
-  write_polygrid(folder / "p.hdf", p);
-  EXPECT_NE(input_error_of(read_cells).find("expected 1×1"), std::string::npos);
+  expect_checked_parents(p, PolygridParts::cells);
 }
 
 TEST(VtkhdfFile, PolygridIndicesAreChecked) {
