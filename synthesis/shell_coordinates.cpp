@@ -31,8 +31,9 @@ Vec3 nearest_in_triangle(const Vec3& p, const Vec3& a, const Vec3& b, const Vec3
 
 }  // namespace
 
-SurfacePlaces::SurfacePlaces(const TexturedMesh& mesh, const Eigen::Vector2i& size, double voxel)
-    : mesh_(mesh), size_(size.cast<float>()), voxel_(voxel), start_(mesh.mesh.vertex_count() + 1, 0) {
+SurfacePlaces::SurfacePlaces(const TexturedMesh& mesh, const std::vector<Eigen::Vector2i>& sizes, double voxel)
+    : mesh_(mesh), voxel_(voxel), start_(mesh.mesh.vertex_count() + 1, 0) {
+  for (const Eigen::Vector2i& size : sizes) sizes_.push_back(size.cast<float>());
   const TriangleMesh& m = mesh.mesh;
   for (int f = 0; f < m.face_count(); ++f)
     for (int k = 0; k < 3; ++k) ++start_[m.faces(f, k) + 1];
@@ -45,6 +46,7 @@ SurfacePlaces::SurfacePlaces(const TexturedMesh& mesh, const Eigen::Vector2i& si
 
 SurfacePlace SurfacePlaces::nearest(int vertex) const {
   SurfacePlace place;
+  place.sample = mesh_.sample_of(vertex);
   place.coordinate = mesh_.coordinate[vertex];
   place.normal = mesh_.normals.row(vertex).transpose();
   place.u = mesh_.directions.row(vertex).transpose();
@@ -53,7 +55,7 @@ SurfacePlace SurfacePlaces::nearest(int vertex) const {
 }
 
 Vec2f SurfacePlaces::continued(int vertex, const Vec3& point) const {
-  const Vec3 way = (point - mesh_.mesh.vertex(vertex)) / voxel_;
+  const Vec3 way = (point - mesh_.mesh.vertex(vertex)) / (voxel_ * mesh_.scale_of(vertex));
   const Vec3 normal = mesh_.normals.row(vertex).transpose(), u = mesh_.directions.row(vertex).transpose();
   return mesh_.coordinate[vertex] + Vec2(way.dot(u), way.dot(normal.cross(u))).cast<float>();
 }
@@ -86,6 +88,8 @@ SurfacePlace SurfacePlaces::interpolated(int vertex, const Vec3& point) const {
   weights.maxCoeff(&strongest);
   const int leader = mesh_.mesh.faces(face, strongest);
   const Vec2f said = continued(leader, point);
+  place.sample = mesh_.sample_of(leader);
+  const Eigen::Vector2f& size = sizes_[static_cast<std::size_t>(place.sample)];
   Vec2f sum = Vec2f::Zero();
   Vec3 normal = Vec3::Zero(), u = Vec3::Zero();
   float total = 0;
@@ -96,9 +100,9 @@ SurfacePlace SurfacePlaces::interpolated(int vertex, const Vec3& point) const {
     Vec2f step = Vec2f::Zero();
     if (k != strongest) {
       step = continued(v, point) - said;
-      step -= size_.cwiseProduct((step.cwiseQuotient(size_)).array().round().matrix());
+      step -= size.cwiseProduct((step.cwiseQuotient(size)).array().round().matrix());
     }
-    if (step.cwiseAbs().maxCoeff() < reach) {
+    if (mesh_.sample_of(v) == place.sample && step.cwiseAbs().maxCoeff() < reach) {
       sum += static_cast<float>(weights[k]) * step;
       total += static_cast<float>(weights[k]);
       u += weights[k] * mesh_.directions.row(v).transpose();

@@ -15,7 +15,8 @@ enum class ShellCoordinates {
 
 // A place of the surface in the sample, and the frame in which the sample stands there.
 struct SurfacePlace {
-  Vec2f coordinate = Vec2f::Zero();  // texels, not wrapped
+  int sample = 0;
+  Vec2f coordinate = Vec2f::Zero();  // texels of that sample, not wrapped
   Vec3 u = Vec3::Zero(), v = Vec3::Zero(), normal = Vec3::Zero();
   bool coherent = false;  // all three vertices of the triangle continue each other
 };
@@ -28,8 +29,8 @@ struct SurfacePlace {
 // Deviates: [STF §6] takes the nearest vertex's coordinate as it is, which is `nearest`.
 class SurfacePlaces {
  public:
-  // size: the sample's n_x, n_y; voxel: a texel's length, mm. The mesh must outlive this.
-  SurfacePlaces(const TexturedMesh& mesh, const Eigen::Vector2i& size, double voxel);
+  // sizes: each sample's n_x, n_y; voxel: a texel's length where the scale is 1, mm. The mesh must outlive this.
+  SurfacePlaces(const TexturedMesh& mesh, const std::vector<Eigen::Vector2i>& sizes, double voxel);
 
   SurfacePlace nearest(int vertex) const;
   // point: on the surface; vertex: the one nearest to it. Where the point lies in no triangle about that vertex or its
@@ -42,7 +43,7 @@ class SurfacePlaces {
   Vec2f continued(int vertex, const Vec3& point) const;
 
   const TexturedMesh& mesh_;
-  Eigen::Vector2f size_;
+  std::vector<Eigen::Vector2f> sizes_;
   double voxel_;
   std::vector<std::int32_t> start_, faces_;  // about each vertex
 };

@@ -15,8 +15,21 @@ namespace {
 
 using Mask = TwoLevelGrid<float>::Mask;
 
-void check_inputs(const TexturedMesh& mesh, const DistanceField& distance, const MaterialSample& sample,
-                  double thickness) {
+void check_inputs(const TexturedMesh& mesh, const DistanceField& distance,
+                  const std::vector<const MaterialSample*>& samples, double thickness) {
+  if (samples.empty()) throw InternalError("a sample expected");
+  const MaterialSample& sample = *samples.front();
+  for (const MaterialSample* other : samples)
+    if (std::abs(other->voxel - sample.voxel) > 1e-4 * sample.voxel)
+      throw InputError(
+          fmt::format("the samples' voxels are {} mm and {} mm; they must be equal; try sg-sample --voxel {}",
+                      sample.voxel, other->voxel, sample.voxel));
+  for (const std::int32_t wanted : mesh.sample)
+    if (wanted >= static_cast<std::int32_t>(samples.size()))
+      throw InputError(
+          fmt::format("the mesh carries {} samples and {} {} given; name all of them, in sg-textons' order",
+                      *std::max_element(mesh.sample.begin(), mesh.sample.end()) + 1, samples.size(),
+                      samples.size() == 1 ? "is" : "are"));
   if (std::abs(distance.frame.voxel - sample.voxel) > 1e-4 * sample.voxel)
     throw InputError(
         fmt::format("the distance field's voxel is {} mm and the sample's {} mm; they must be equal; try "
@@ -92,10 +105,17 @@ std::size_t sample_voxel(const MaterialSample& sample, const Vec3f& texture_coor
                       wrapped(texture_coordinate.y(), sample.size.y()), z);
 }
 
-ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distance, const MaterialSample& sample,
-                           const Material& core, double thickness, ShellCoordinates coordinates,
-                           ShellStatistics* statistics, Progress& progress) {
-  check_inputs(mesh, distance, sample, thickness);
+ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distance,
+                           const std::vector<const MaterialSample*>& samples, const Material& core, double thickness,
+                           ShellCoordinates coordinates, ShellStatistics* statistics, Progress& progress) {
+  check_inputs(mesh, distance, samples, thickness);
+  const double sample_edge = samples.front()->voxel;
+  bool own_indices = false;
+  std::vector<Eigen::Vector2i> sizes;
+  for (const MaterialSample* sample : samples) {
+    sizes.push_back(sample->size.head<2>());
+    own_indices = own_indices || !sample->surface_ior.empty();
+  }
   const TwoLevelGrid<float>& field = distance.distance;
   const float deepest = static_cast<float>(-thickness * (1 + 1e-6));
   const auto is_shell = [&](float d) { return d <= 0 && d >= deepest; };
@@ -116,7 +136,7 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
   shell.frame = distance.frame;
   shell.core = core;
   shell.thickness = thickness;
-  shell.ior = sample.ior;
+  shell.ior = samples.front()->ior;
   const TwoLevelGrid<Vec3f> empty(field.lower_leaf(), field.leaf_counts(), Vec3f::Zero());
   shell.texture_coordinate = shell.extinction = shell.albedo = shell.anisotropy = shell.normal = empty;
   shell.kind = TwoLevelGrid<std::int32_t>(field.lower_leaf(), field.leaf_counts(), 1);
@@ -130,12 +150,12 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
     for (TwoLevelGrid<Vec3f>* grid : colors)
       grid->leaf_mask(grid->allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
     shell.kind.leaf_mask(shell.kind.allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
-    if (!sample.surface_ior.empty())
+    if (own_indices)
       shell.surface_ior.leaf_mask(shell.surface_ior.allocate_leaf(field.leaf_coordinate(leaf))) = masks[leaf];
   }
 
   const bool interpolate = coordinates == ShellCoordinates::interpolated;
-  const SurfacePlaces places(mesh, sample.size.head<2>(), sample.voxel);
+  const SurfacePlaces places(mesh, sizes, sample_edge);
   progress.begin("shell", static_cast<long>(source.size()));
   std::vector<char> foreign(source.size(), 0);
   std::vector<Difference> differences(source.size());
@@ -154,20 +174,24 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
             foreign[at] = 1;
             continue;
           }
-          const float depth = static_cast<float>(-field.leaf_values(source[at])[n] / sample.voxel);
+          const float depth = static_cast<float>(-field.leaf_values(source[at])[n] / sample_edge);
           SurfacePlace place = places.nearest(vertex);
           Vec3f t(place.coordinate.x(), place.coordinate.y(), std::max(0.0f, depth));
-          std::size_t voxel = sample_voxel(sample, t);
+          const MaterialSample* paper_sample = samples[place.sample];
+          std::size_t voxel = sample_voxel(*paper_sample, t);
           Difference& difference = differences[at];
           if (interpolate) {
             const std::size_t paper = voxel;
             place =
                 places.interpolated(vertex, distance.nearest_point.leaf_values(point_leaf)[n].template cast<double>());
-            t.x() = wrap(place.coordinate.x(), sample.size.x());
-            t.y() = wrap(place.coordinate.y(), sample.size.y());
-            voxel = sample_voxel(sample, t);
-            difference.add(sample.material(voxel), sample.material(paper), voxel != paper, place.coherent);
+            const MaterialSample* own = samples[place.sample];
+            t.x() = wrap(place.coordinate.x(), own->size.x());
+            t.y() = wrap(place.coordinate.y(), own->size.y());
+            voxel = sample_voxel(*own, t);
+            difference.add(own->material(voxel), paper_sample->material(paper), own != paper_sample || voxel != paper,
+                           place.coherent);
           }
+          const MaterialSample& sample = *samples[place.sample];
           shell.texture_coordinate.leaf_values(leaf)[n] = t;
           shell.extinction.leaf_values(leaf)[n] = sample.extinction[voxel];
           shell.albedo.leaf_values(leaf)[n] = sample.albedo[voxel];
@@ -179,7 +203,9 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
             const Vec3 normal = local.x() * place.u + local.y() * place.v - local.z() * place.normal;
             shell.normal.leaf_values(leaf)[n] = normal.normalized().cast<float>();
           }
-          if (!sample.surface_ior.empty()) shell.surface_ior.leaf_values(leaf)[n] = sample.surface_ior[voxel];
+          if (own_indices && sample.kind[voxel] == VoxelKind::surface)
+            shell.surface_ior.leaf_values(leaf)[n] =
+                sample.surface_ior.empty() ? static_cast<float>(sample.ior) : sample.surface_ior[voxel];
         }
         progress.advance();
       },

@@ -29,11 +29,13 @@ struct ShellStatistics {
 // the texture coordinate (t_u, t_v, d/d_0) of its nearest point of the surface, by `coordinates`, and the sample's
 // voxel there. Leaves without such points are not allocated. Mesostructure normals turn into the object's frame.
 // Source: [STF §6, fig. 5].
+// samples: at least one, by the mesh's numbers, of one voxel size; depth counts in voxels whatever the scale.
 // thickness: mm, > 0. Throws: InputError where voxel sizes differ, the band is thinner than the shell, or the distance
 // field belongs to another mesh.
-ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distance, const MaterialSample& sample,
-                           const Material& core, double thickness, ShellCoordinates coordinates,
-                           ShellStatistics* statistics = nullptr, Progress& progress = no_progress());
+ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distance,
+                           const std::vector<const MaterialSample*>& samples, const Material& core, double thickness,
+                           ShellCoordinates coordinates, ShellStatistics* statistics = nullptr,
+                           Progress& progress = no_progress());
 
 // The sample's voxel at a shell coordinate: texels wrap around, depths beyond the sample give its bottom layer.
 std::size_t sample_voxel(const MaterialSample& sample, const Vec3f& texture_coordinate);

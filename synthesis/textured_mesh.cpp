@@ -76,6 +76,18 @@ TexturedMesh detach_texture(const AttributedMesh& mesh, const std::string& name)
   const std::vector<float>* direction[3] = {&property("direction_x"), &property("direction_y"),
                                             &property("direction_z")};
   TexturedMesh result;
+  if (mesh.find("sample"))
+    for (const float value : property("sample")) {
+      if (!(value >= 0 && value < 256 && value == std::floor(value)))
+        throw InputError(fmt::format("{}: 'sample' is {} at a vertex; expected a small whole number", name, value));
+      result.sample.push_back(static_cast<std::int32_t>(value));
+    }
+  if (mesh.find("scale"))
+    for (const float value : property("scale")) {
+      if (!(value >= 1e-3f && value <= 1e3f))
+        throw InputError(fmt::format("{}: 'scale' is {} at a vertex; expected 0.001 to 1000", name, value));
+      result.scale.push_back(value);
+    }
   result.mesh = mesh.mesh;
   result.normals = vertex_normals(mesh.mesh);
   const int n = mesh.mesh.vertex_count();

@@ -12,7 +12,7 @@ namespace shellgrid {
 // `quality` (coherence) and `red green blue` (the sample's topmost material).
 AttributedMesh attach_texture(const SurfaceTexture& texture, const TextonSet& textons);
 
-// Reads these properties back. name: the file's, for messages.
+// Reads these properties back, and where they are there `sample` and `scale`. name: the file's, for messages.
 // Throws: InputError where one is missing or not finite, or a direction is zero.
 TexturedMesh detach_texture(const AttributedMesh& mesh, const std::string& name);
 

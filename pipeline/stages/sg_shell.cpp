@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
@@ -33,20 +34,31 @@ struct CoreOptions {
       throw UsageError("--core-anisotropy needs --core-absorption and --core-scattering");
     if (given() && kind != "bottom-layer")
       throw UsageError("--core " + kind + " takes its coefficients from the shell; leave out --core-absorption");
-    if (!sample_path.empty() && kind != "solid") throw UsageError("core.vdb: only --core solid takes it");
   }
-  Material homogeneous(const MaterialSample& sample) const {
+  // Below several samples the mean of their bottom layers, by the vertices that carry them.
+  Material homogeneous(const std::vector<MaterialSample>& samples, const TexturedMesh& mesh) const {
     const auto color = [](const std::vector<double>& v) {
       return v.empty() ? Rgb(Rgb::Zero()) : Rgb(Eigen::Array3d(v[0], v[1], v[2]).cast<float>());
     };
-    return given() ? Material::from_absorption_scattering(color(absorption), color(scattering), color(anisotropy))
-                   : bottom_layer_mean(sample);
+    if (given()) return Material::from_absorption_scattering(color(absorption), color(scattering), color(anisotropy));
+    Rgb absorbed = Rgb::Zero(), scattered = Rgb::Zero(), forward = Rgb::Zero();
+    const auto all = static_cast<float>(mesh.mesh.vertex_count());
+    for (std::size_t k = 0; k < samples.size(); ++k) {
+      const Material m = bottom_layer_mean(samples[k]);
+      const auto carried = std::count(mesh.sample.begin(), mesh.sample.end(), static_cast<std::int32_t>(k));
+      const float share = mesh.sample.empty() ? (k == 0 ? 1.0f : 0.0f) : static_cast<float>(carried) / all;
+      absorbed += share * m.absorption(), scattered += share * m.scattering();
+      forward += share * m.scattering() * m.anisotropy;
+    }
+    if (mesh.sample.empty()) return bottom_layer_mean(samples.front());
+    return Material::from_absorption_scattering(absorbed, scattered,
+                                                (scattered > 0).select(forward / scattered, Rgb::Zero()));
   }
 };
 
 // Makes the core of the shell, and what the record says of it.
 json make_core(const CoreOptions& options, ShellVolume& shell, const DistanceField& distance,
-               const MaterialSample& sample, Progress& progress) {
+               const std::vector<MaterialSample>& samples, Progress& progress) {
   CoreStatistics statistics;
   json result = {{"kind", options.given() ? "coefficients" : options.kind}};
   if (options.kind == "interpolated") shell.core_interpolated = true;
@@ -57,7 +69,7 @@ json make_core(const CoreOptions& options, ShellVolume& shell, const DistanceFie
   }
   if (options.kind == "solid") {
     fill_core_with_solid(shell, distance,
-                         options.sample_path.empty() ? sample : restore_sample(read_vdb(options.sample_path)),
+                         options.sample_path.empty() ? samples.front() : restore_sample(read_vdb(options.sample_path)),
                          options.solid, &statistics, progress);
     result["synthesized_voxels"] = statistics.synthesized_voxels;
     result["step_to_shell_over_samples"] =
@@ -96,15 +108,14 @@ std::string report(const std::string& kind, const ShellStatistics& s, const json
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::string mesh_path, distance_path, sample_path, coordinates = "interpolated";
+  std::string mesh_path, distance_path, coordinates = "interpolated";
+  std::vector<std::string> sample_paths;
   double thickness = 4;
   CoreOptions core;
   StageProgram program("sg-shell", "Resamples the synthesised shell on a regular two-level grid.");
   program.input("synthesized.ply", mesh_path, "surface with texture coordinates, from sg-synthesize");
   program.input("distance.vdb", distance_path, "distance field of the same surface, from sg-distance");
-  program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
-  program.input("core.vdb", core.sample_path, "the solid of --core solid, from sg-sample; without it the base volume",
-                true);
+  program.inputs("sample.vdb", sample_paths, "the base volume, from sg-sample; several in the order of sg-textons");
   program.output("shell.vdb", "the shell's voxels");
   program.output_beside(".view.ply");
   program.option("--thickness", thickness, "mm", "thickness of the shell", 1e-6, 1e4);
@@ -124,6 +135,8 @@ int main(int argc, char** argv) {
       "--core-reach", core.solid.reach, "voxels",
       "how far below the shell, and about the slabs that it is laid in, a solid is synthesised; elsewhere it tiles", 0,
       64);
+  program.option("--core-sample", core.sample_path,
+                 "the solid of --core solid (.vdb, from sg-sample); else the base volume");
   program.option("--core-absorption", core.absorption, "1/mm", "of a homogeneous core; without it see --core", 0, 1e6);
   program.option("--core-scattering", core.scattering, "1/mm", "of the core", 0, 1e6);
   program.option("--core-anisotropy", core.anisotropy, "", "of the core; 0 where not given", -0.999, 0.999);
@@ -131,25 +144,29 @@ int main(int argc, char** argv) {
   return program.run(argc, argv, [&](StageRun& run) {
     core.check();
     program.refuse_unless(core.kind == "mean-value", "--core mean-value", {"--core-triangles"});
-    program.refuse_unless(core.kind == "solid", "--core solid", {"--core-reach"});
+    program.refuse_unless(core.kind == "solid", "--core solid", {"--core-reach", "--core-sample"});
+    if (core.kind == "solid" && core.sample_path.empty() && sample_paths.size() > 1)
+      throw UsageError("--core solid: name its sample with --core-sample where there are several");
     core.solid.seed = run.seed();
     run.start_timer("read");
     const TexturedMesh mesh = detach_texture(read_mesh(mesh_path), mesh_path);
     const DistanceField distance = read_distance_field(distance_path);
-    const MaterialSample sample = restore_sample(read_vdb(sample_path));
+    std::vector<MaterialSample> samples;
+    for (const std::string& path : sample_paths) samples.push_back(restore_sample(read_vdb(path)));
+    std::vector<const MaterialSample*> all;
+    for (const MaterialSample& sample : samples) all.push_back(&sample);
     run.start_timer("resample");
     ShellStatistics s;
     ShellVolume shell = resample_shell(
-        mesh, distance, sample, core.homogeneous(sample), thickness,
+        mesh, distance, all, core.homogeneous(samples, mesh), thickness,
         coordinates == "nearest" ? ShellCoordinates::nearest : ShellCoordinates::interpolated, &s, run.progress());
     run.start_timer("core");
-    const json core_results = make_core(core, shell, distance, sample, run.progress());
-    if (!sample.surface_ior.empty())
+    const json core_results = make_core(core, shell, distance, samples, run.progress());
+    if (shell.surface_ior.leaf_count() > 0)
       run.progress().warn(
-          fmt::format("{}: its surface has refractive indices of its own; the shell carries them (surface_ior), but "
-                      "light meets the "
-                      "object's one index everywhere",
-                      sample_path));
+          "the sample's surface has refractive indices of its own; the shell carries them (surface_ior), but light "
+          "meets "
+          "the object's one index everywhere");
     run.start_timer("write");
     write_shell_volume(run.output(), shell);
     const std::string view = view_path(run.output());

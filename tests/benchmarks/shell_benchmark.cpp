@@ -26,7 +26,8 @@ int main() {
       const DistanceField field = strip.field(depth);
       for (const ShellCoordinates choice : {ShellCoordinates::nearest, ShellCoordinates::interpolated}) {
         const auto started = std::chrono::steady_clock::now();
-        const ShellVolume shell = resample_shell(strip.mesh, field, sample, bottom_layer_mean(sample), depth, choice);
+        const ShellVolume shell =
+            resample_shell(strip.mesh, field, {&sample}, bottom_layer_mean(sample), depth, choice);
         const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
         long voxels = 0, other = 0;
         double squares[2] = {}, sums[2] = {}, all[2] = {};

@@ -382,9 +382,10 @@ class Chain(unittest.TestCase):
                 self.assertEqual(run("describe", out, "-o", cut).returncode, 0)
                 self.assertEqual(read_bytes(cut)[:4], b"\x89PNG")
             self.assertLess(core["step_to_shell_over_samples"], 0.7 * core["tilings_step_over_samples"])
-            self.assertEqual(run(*inputs, self.at("sample.vdb"), "-o", out, "--thickness", 2, "--core", "solid").returncode, 0)
+            given = ["--core", "solid", "--core-sample", self.at("sample.vdb")]
+            self.assertEqual(run(*inputs, "-o", out, "--thickness", 2, *given).returncode, 0)
             self.assertEqual(read_bytes(out), first)
-            self.refused(run(*inputs, self.at("sample.vdb"), "-o", out), 2, "--core solid")
+            self.refused(run(*inputs, "-o", out, "--core-sample", self.at("sample.vdb")), 2, "--core solid")
             self.refused(run(*inputs, "-o", out, "--core-reach", 4), 2, "--core-reach")
 
     def test_the_papers_textons_work_too(self):

@@ -54,7 +54,7 @@ void expect_finite_shells(const MaterialSample& given, double radius = 5) {
   for (const ShellCoordinates coordinates : {ShellCoordinates::nearest, ShellCoordinates::interpolated})
     for (int core = 0; core < 3; ++core) {
       ShellVolume shell =
-          resample_shell(mesh, distance, sample, bottom_layer_mean(sample), 2 * sample.voxel, coordinates);
+          resample_shell(mesh, distance, {&sample}, bottom_layer_mean(sample), 2 * sample.voxel, coordinates);
       if (core == 1) fill_core_by_mean_values(shell, distance, 500);
       if (core == 2) fill_core_with_solid(shell, distance, sample, {});
       EXPECT_GT(shell.extinction.active_count(), 100u);

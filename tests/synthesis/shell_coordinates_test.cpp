@@ -5,6 +5,7 @@
 
 #include <limits>
 
+#include "meshing/core/error.h"
 #include "synthesis/sample_check.h"
 #include "synthesis/shell_resampling.h"
 #include "tests/synthesis/unrolled_shapes.h"
@@ -16,7 +17,7 @@ constexpr double flat = std::numeric_limits<double>::infinity();
 
 TEST(ShellCoordinates, OnAPlaneInterpolationIsExactWhateverTheTriangles) {
   const testing::UnrolledStrip strip(flat, 0.45, 0.4, 40);
-  const SurfacePlaces places(strip.mesh, {64, 64}, strip.voxel);
+  const SurfacePlaces places(strip.mesh, {{64, 64}}, strip.voxel);
   double nearest_error = 0;
   for (int i = 0; i < 2000; ++i) {
     const Vec3 p(2 + 14 * to_unit(hash64(i, 3)), 2 + 14 * to_unit(hash64(i, 4)), 0);
@@ -32,7 +33,7 @@ TEST(ShellCoordinates, OnAPlaneInterpolationIsExactWhateverTheTriangles) {
 TEST(ShellCoordinates, OnACylinderItsErrorFallsWithTheCubeOfTheSpacing) {
   const auto errors = [](double step) {
     const testing::UnrolledStrip strip(6, step, step, static_cast<int>(8 / step));
-    const SurfacePlaces places(strip.mesh, {1000, 1000}, strip.voxel);
+    const SurfacePlaces places(strip.mesh, {{1000, 1000}}, strip.voxel);
     Vec2 square = Vec2::Zero();
     const int count = 2000;
     for (int i = 0; i < count; ++i) {
@@ -60,7 +61,7 @@ TEST(ShellCoordinates, PatchesMeetWithoutMixture) {
       strip.mesh.coordinate[v] = Vec2f(20 + c.y(), 9 - c.x());
       strip.mesh.directions.row(v) << 0, 1, 0;
     }
-  const SurfacePlaces places(strip.mesh, {32, 32}, strip.voxel);
+  const SurfacePlaces places(strip.mesh, {{32, 32}}, strip.voxel);
   int mixed = 0;
   for (int i = 0; i < 2000; ++i) {
     const Vec3 p(3 + 2 * to_unit(hash64(i, 3)), 2 + 4 * to_unit(hash64(i, 4)), 0);
@@ -78,13 +79,59 @@ TEST(ShellCoordinates, ThePatchGoesOnAcrossTheSamplesBorder) {
   testing::UnrolledStrip strip(flat, 0.4, 0.4, 20);
   for (Vec2f& c : strip.mesh.coordinate)
     c = Vec2f(c.x() - 8 * std::floor(c.x() / 8), c.y() - 8 * std::floor(c.y() / 8));
-  const SurfacePlaces places(strip.mesh, {8, 8}, strip.voxel);
+  const SurfacePlaces places(strip.mesh, {{8, 8}}, strip.voxel);
   for (int i = 0; i < 500; ++i) {
     const Vec3 p(2 + 4 * to_unit(hash64(i, 3)), 2 + 4 * to_unit(hash64(i, 4)), 0);
     Vec2 d = places.interpolated(strip.nearest_vertex(p), p).coordinate.cast<double>() - strip.exact(p);
     d -= 8 * (d / 8).array().round().matrix();
     EXPECT_LT(d.norm(), 1e-4);
   }
+}
+
+TEST(ShellCoordinates, LargerTexelsRunSlower) {
+  testing::UnrolledStrip strip(flat, 0.4, 0.4, 20);
+  strip.mesh.scale.assign(strip.mesh.coordinate.size(), 2.5f);
+  for (Vec2f& c : strip.mesh.coordinate) c /= 2.5f;
+  const SurfacePlaces places(strip.mesh, {{32, 32}}, strip.voxel);
+  for (int i = 0; i < 500; ++i) {
+    const Vec3 p(2 + 4 * to_unit(hash64(i, 3)), 2 + 4 * to_unit(hash64(i, 4)), 0);
+    const SurfacePlace place = places.interpolated(strip.nearest_vertex(p), p);
+    EXPECT_TRUE(place.coherent);
+    EXPECT_LT((place.coordinate.cast<double>() - strip.exact(p) / 2.5).norm(), 1e-4);
+  }
+}
+
+TEST(ShellCoordinates, TwoSamplesMeetWithoutMixture) {
+  testing::UnrolledStrip strip(flat, 0.4, 0.4, 20);
+  for (int v = 0; v < strip.mesh.mesh.vertex_count(); ++v)
+    strip.mesh.sample.push_back(strip.mesh.mesh.vertices(v, 0) > strip.middle() ? 1 : 0);
+  SampleDefinition definition = testing::marble(20);
+  definition.voxel = 0.4;
+  const MaterialSample first = make_procedural_sample(definition);
+  MaterialSample second = first;
+  for (Vec3f& extinction : second.extinction) extinction = Vec3f::Constant(9);
+  const DistanceField field = strip.field(1.2);
+  long of_second = 0;
+  for (const ShellCoordinates choice : {ShellCoordinates::nearest, ShellCoordinates::interpolated}) {
+    const ShellVolume shell =
+        resample_shell(strip.mesh, field, {&first, &second}, bottom_layer_mean(first), 1.2, choice);
+    shell.extinction.for_each_active([&](int i, int j, int k, const Vec3f& extinction) {
+      const Vec3 p = field.frame.to_world(Vec3i(i, j, k));
+      const bool is_second = extinction == Vec3f(Vec3f::Constant(9));
+      of_second += is_second;
+      // One side of the border or the other, within a triangle.
+      if (std::abs(p.x() - strip.middle()) > 0.8) {
+        EXPECT_EQ(is_second, p.x() > strip.middle());
+      }
+    });
+  }
+  EXPECT_GT(of_second, 500);
+  EXPECT_THROW(resample_shell(strip.mesh, field, {&first}, bottom_layer_mean(first), 1.2, ShellCoordinates::nearest),
+               InputError);
+  second.voxel = 0.5;
+  EXPECT_THROW(
+      resample_shell(strip.mesh, field, {&first, &second}, bottom_layer_mean(first), 1.2, ShellCoordinates::nearest),
+      InputError);
 }
 
 // The shell over an identity tiling against the sample itself, at falling voxel sizes.
@@ -99,7 +146,7 @@ TEST(ShellCoordinates, InterpolatedShellsAreTheSampleAndNearestOnesAreNot) {
       const MaterialSample sample = make_procedural_sample(definition);
       const DistanceField field = strip.field(1.2);
       ShellStatistics statistics;
-      const ShellVolume shell = resample_shell(strip.mesh, field, sample, bottom_layer_mean(sample), 1.2,
+      const ShellVolume shell = resample_shell(strip.mesh, field, {&sample}, bottom_layer_mean(sample), 1.2,
                                                ShellCoordinates::interpolated, &statistics);
       long voxels = 0, wrong = 0;
       shell.texture_coordinate.for_each_active([&](int i, int j, int k, const Vec3f& t) {

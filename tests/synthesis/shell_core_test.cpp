@@ -71,8 +71,12 @@ TEST(ShellCore, IsEveryGridPointInsideAndNoOther) {
     for (int j = -32; j <= 32; ++j)
       for (int k = -32; k <= 32; ++k) {
         const double r = ball.shell.frame.to_world(Vec3i(i, j, k)).norm();
-        if (r < radius - 0.05) EXPECT_TRUE(ball.shell.extinction.is_active(i, j, k));
-        if (r > radius) EXPECT_FALSE(ball.shell.extinction.is_active(i, j, k));
+        if (r < radius - 0.05) {
+          EXPECT_TRUE(ball.shell.extinction.is_active(i, j, k));
+        }
+        if (r > radius) {
+          EXPECT_FALSE(ball.shell.extinction.is_active(i, j, k));
+        }
         expected += r < radius - thickness;
       }
   EXPECT_NEAR(static_cast<double>(statistics.voxels), static_cast<double>(expected), 0.03 * expected);

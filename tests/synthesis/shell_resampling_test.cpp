@@ -55,7 +55,7 @@ struct Scene {
   }
   ShellVolume shell(ShellStatistics* statistics = nullptr,
                     ShellCoordinates coordinates = ShellCoordinates::nearest) const {
-    return resample_shell(mesh, distance, sample, bottom_layer_mean(sample), thickness, coordinates, statistics);
+    return resample_shell(mesh, distance, {&sample}, bottom_layer_mean(sample), thickness, coordinates, statistics);
   }
 };
 
