@@ -137,6 +137,12 @@ class Chain(unittest.TestCase):
             far = numpy.abs(vertices["z"]) > 4.5
             self.assertTrue(((vertices["sample"] == 1) == (vertices["z"] > 0))[far].all())
             self.assertAlmostEqual(sum(record(out("s.ply"))["results"]["sample_shares"]), 1, delta=1e-6)
+            inputs = ["shell", out("s.ply"), self.at("distance.vdb"), self.at("sample.vdb")]
+            self.refused(run(*inputs, "-o", out("shell.vdb"), "--thickness", 2), 3, "carries 2 samples")
+            done = run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertEqual(record(out("shell.vdb"))["results"]["voxels"], record(self.at("shell.vdb"))["results"]["voxels"])
+            self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--core", "solid"), 2, "--core-sample")
             with open(out("bad.ply"), "w") as file, open(out("painted.ply")) as good:
                 file.write(good.read().replace("property uchar red", "property uchar green"))
             self.refused(run("synthesize", self.at("surface.ply"), out("two.vdb"), out("bad.ply"), "-o", out("s.ply")), 3,
