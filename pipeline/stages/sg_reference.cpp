@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <filesystem>
@@ -130,16 +131,20 @@ struct TallyOptions {
   }
 };
 
+// From a slab or half-space that does not scatter nothing comes back.
+bool may_return(const TallyProblem& problem) {
+  if (problem.source == TallySource::centre) return false;
+  return problem.shape == TallyShape::sphere || problem.layers[0].scattering > 0;
+}
+
 json tally_json(const TallyResult& r, const TallyProblem& problem, double paths) {
   const bool from_inside = problem.source == TallySource::centre;
   const bool passes = from_inside || problem.shape == TallyShape::slab;
-  // From a slab or half-space that does not scatter nothing comes back.
-  const bool returns = problem.shape == TallyShape::sphere || problem.layers[0].scattering > 0;
   const auto finding = [&](const Estimate& e, bool may_be) { return Finding{e, paths, may_be}.as_json(); };
   json absorbed = json::array();
   for (std::size_t k = 0; k < r.absorbed.size(); ++k)
     absorbed.push_back(finding(r.absorbed[k], problem.layers[k].absorption > 0));
-  json result = {{"diffuse_reflectance", finding(r.diffuse_reflectance, !from_inside && returns)},
+  json result = {{"diffuse_reflectance", finding(r.diffuse_reflectance, may_return(problem))},
                  {"specular_reflectance", finding(r.specular_reflectance, false)},
                  {"transmittance", finding(r.transmittance, passes)},
                  {"unscattered", finding(r.unscattered, passes)},
@@ -156,7 +161,7 @@ json tally_json(const TallyResult& r, const TallyProblem& problem, double paths)
 // Where many paths ended by chance for their length alone, the few that went on carry much, and rarely.
 void warn_of_heavy_paths(const PathKind& kind, const PathState& state, Progress& progress) {
   const double ended = static_cast<double>(state.count(PathEvent::limit_roulette)) / static_cast<double>(state.paths);
-  if (ended > kind.relative_error(state).value_or(0))
+  if (ended > std::min(0.001, kind.relative_error(state).value_or(0)))
     progress.warn(
         fmt::format("{:.2g} % of the paths ended by chance beyond {} collisions: few heavy ones stand for "
                     "them, and the standard error may be too small",
@@ -219,7 +224,8 @@ void tally(const TallyOptions& options, const Campaign& campaign, StageRun& run)
   write_text_atomically(run.output(), content.dump(1) + "\n");
   const bool from_inside = problem.source == TallySource::centre;
   std::string found;
-  if (!from_inside) found += "diffuse reflectance " + Finding{result.diffuse_reflectance, paths}.in_words() + ", ";
+  if (!from_inside)
+    found += "diffuse reflectance " + Finding{result.diffuse_reflectance, paths, may_return(problem)}.in_words() + ", ";
   if (from_inside || problem.shape == TallyShape::slab)
     found += "transmittance " + Finding{result.transmittance, paths}.in_words() + ", ";
   run.print(fmt::format("{}: {}{} paths", run.output(), found, state.paths));

@@ -373,6 +373,13 @@ class Tally(Reference):
         self.assertEqual(texts[0], texts[1])
         self.assertNotEqual(texts[0], texts[2])
 
+    def test_few_heavy_paths_for_many_are_told(self):
+        # So forward that no scattering forgets its direction: no leaps, and paths of millions of collisions.
+        done = self.run_reference("--tally", "slab", "--thickness", "1e6", "--scattering", "1", "--anisotropy", "0.9999",
+                                  "--paths", "64", "-o", "heavy.json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("few heavy ones stand for them", done.stderr)
+
     def test_what_no_path_found_is_not_known_to_be_nothing(self):
         ink = self.measured("slab", "--thickness", "100", "--absorption", "1", "--scattering", "0.1", "--paths", "1000")
         self.assertEqual(ink["transmittance"]["value"], 0)
