@@ -24,6 +24,10 @@ void check_inputs(const TexturedMesh& mesh, const DistanceField& distance,
       throw InputError(
           fmt::format("the samples' voxels are {} mm and {} mm; they must be equal; try sg-sample --voxel {}",
                       sample.voxel, other->voxel, sample.voxel));
+  if (mesh.sample.empty() && samples.size() > 1)
+    throw InputError(fmt::format(
+        "the mesh carries one sample and {} are given; it must say where each belongs, in the property 'sample'",
+        samples.size()));
   for (const std::int32_t wanted : mesh.sample)
     if (wanted >= static_cast<std::int32_t>(samples.size()))
       throw InputError(

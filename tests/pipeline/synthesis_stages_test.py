@@ -143,6 +143,8 @@ class Chain(unittest.TestCase):
             self.assertEqual(done.returncode, 0, done.stderr)
             self.assertEqual(record(out("shell.vdb"))["results"]["voxels"], record(self.at("shell.vdb"))["results"]["voxels"])
             self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--core", "solid"), 2, "--core-sample")
+            inputs[1] = self.at("synthesized.ply")
+            self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2), 3, "carries one sample")
             with open(out("bad.ply"), "w") as file, open(out("painted.ply")) as good:
                 file.write(good.read().replace("property uchar red", "property uchar green"))
             self.refused(run("synthesize", self.at("surface.ply"), out("two.vdb"), out("bad.ply"), "-o", out("s.ply")), 3,
