@@ -79,8 +79,8 @@ class SynthesisChain(WorkplaceTest):
 
     def test_two_colours_at_a_contrast_of_a_million(self):
         thin, thick = ({"absorption": a, "scattering": s} for a, s in ((1e-6, 1e-3), (1, 1e3)))
-        for core in ("bottom-layer", "mean-value", "solid"):
-            self.assertEqual(self.sample(spots(materials={"body": thin, "spot": thick}, softness=0)).returncode, 0)
+        self.assertEqual(self.sample(spots(materials={"body": thin, "spot": thick}, softness=0)).returncode, 0)
+        for core in ("mean-value", "solid"):
             synthesized, _ = self.grow(icosphere(4, 5.0), core=core)
             self.assertLess(synthesized["window_distance_over_variance"], 0.7 * synthesized["window_distance_random"])
             least, most = self.range_of("shell.vdb", "extinction")
