@@ -235,6 +235,7 @@ ScanResult scan_convert(const std::vector<ScanPart>& parts, const ScanOptions& o
   if (has_indices) sample.surface_ior.assign(sample.voxel_count(), 0.0f);
   const int fine = model.fine(), places = fine * fine * fine;
   std::vector<double> lost(size.y(), 0.0), filled(size.y(), 0.0);
+  std::vector<std::vector<char>> used(size.y(), std::vector<char>(parts.size(), 0));
   parallel_for(
       static_cast<std::size_t>(size.y()),
       [&](std::size_t y) {
@@ -260,7 +261,7 @@ ScanResult scan_convert(const std::vector<ScanPart>& parts, const ScanOptions& o
               composition.add(parts[part].material, static_cast<double>(shares[part]) / places);
               if (most < 0 || shares[part] > shares[most]) most = part;
             }
-            for (std::int16_t part : present) shares[part] = 0;
+            for (std::int16_t part : present) shares[part] = 0, used[y][part] = 1;
             const std::size_t index = sample.index(x, static_cast<int>(y), z);
             filled[y] += composition.share();
             if (composition.share() < 0.5) {
@@ -278,6 +279,10 @@ ScanResult scan_convert(const std::vector<ScanPart>& parts, const ScanOptions& o
   if (!(all > 0))
     throw InputError(
         fmt::format("no part lies in the sample, {:.4g} mm thick below z = {:.4g} mm", options.thickness, options.top));
+  for (std::size_t part = 0; part < parts.size(); ++part)
+    if (!parts[part].free &&
+        std::none_of(used.begin(), used.end(), [&](const std::vector<char>& row) { return row[part] != 0; }))
+      result.unused.push_back(static_cast<int>(part));
   result.lost_material = std::accumulate(lost.begin(), lost.end(), 0.0) / all;
   result.above_top = std::max(0.0, highest_point(parts) - options.top);
 

@@ -36,6 +36,7 @@ struct ScanOptions {
 struct ScanResult {
   MaterialSample sample;
   double above_top = 0;      // height of what stands above the top and is cut off, mm
+  std::vector<int> unused;   // parts with matter that own no place of the sample
   double lost_material = 0;  // share of the material in voxels that are less than half full, and so are free space
 };
 

@@ -24,6 +24,13 @@ void check_inputs(const TexturedMesh& mesh, const DistanceField& distance,
       throw InputError(
           fmt::format("the samples' voxels are {} mm and {} mm; they must be equal; try sg-sample --voxel {}",
                       sample.voxel, other->voxel, sample.voxel));
+  for (std::size_t k = 0; k < std::min(samples.size(), mesh.sample_sizes.size()); ++k)
+    for (int axis = 0; axis < 2; ++axis)
+      if (const int n = mesh.sample_sizes[k][axis]; n > 0 && n != samples[k]->size[axis])
+        throw InputError(fmt::format(
+            "sample {} has {} x {} texels and the mesh carries one of {} x {}; give the sample that "
+            "sg-textons had",
+            k, samples[k]->size.x(), samples[k]->size.y(), mesh.sample_sizes[k].x(), mesh.sample_sizes[k].y()));
   if (mesh.sample.empty() && samples.size() > 1)
     throw InputError(fmt::format(
         "the mesh carries one sample and {} are given; it must say where each belongs, in the property 'sample'",
@@ -136,6 +143,11 @@ ShellVolume resample_shell(const TexturedMesh& mesh, const DistanceField& distan
             TwoLevelGrid<float>::mask_set(masks[leaf], n), used[leaf] = 1;
       },
       8);
+  if (std::find(used.begin(), used.end(), 1) == used.end())
+    throw InputError(
+        fmt::format("no grid point lies in a shell {} mm thick on a grid of {} mm; make it thicker or the voxel "
+                    "smaller",
+                    thickness, distance.frame.voxel));
   ShellVolume shell;
   shell.frame = distance.frame;
   shell.core = core;

@@ -74,8 +74,6 @@ TexturedMesh detach_texture(const AttributedMesh& mesh, const std::string& name)
     return *values;
   };
   const std::vector<float>&u = property("texture_u"), &v = property("texture_v");
-  const std::vector<float>* direction[3] = {&property("direction_x"), &property("direction_y"),
-                                            &property("direction_z")};
   TexturedMesh result;
   if (mesh.find("sample"))
     for (const float value : property("sample")) {
@@ -89,6 +87,23 @@ TexturedMesh detach_texture(const AttributedMesh& mesh, const std::string& name)
         throw InputError(fmt::format("{}: 'scale' is {} at a vertex; expected 0.001 to 1000", name, value));
       result.scale.push_back(value);
     }
+  // s = u/n_x and t = v/n_y tell the size of each sample.
+  if (mesh.find("s") && mesh.find("t")) {
+    const std::vector<float>*share[2] = {&property("s"), &property("t")}, *texels[2] = {&u, &v};
+    const int samples = result.sample.empty() ? 1 : *std::max_element(result.sample.begin(), result.sample.end()) + 1;
+    result.sample_sizes.assign(samples, Eigen::Vector2i::Zero());
+    std::vector<Vec2f> largest(samples, Vec2f::Constant(0.05f));
+    for (std::size_t i = 0; i < u.size(); ++i) {
+      const int sample = result.sample_of(static_cast<int>(i));
+      for (int axis = 0; axis < 2; ++axis)
+        if ((*share[axis])[i] > largest[sample][axis] && (*share[axis])[i] <= 1.001f) {
+          largest[sample][axis] = (*share[axis])[i];
+          result.sample_sizes[sample][axis] = static_cast<int>(std::lround((*texels[axis])[i] / (*share[axis])[i]));
+        }
+    }
+  }
+  const std::vector<float>* direction[3] = {&property("direction_x"), &property("direction_y"),
+                                            &property("direction_z")};
   result.mesh = mesh.mesh;
   result.normals = vertex_normals(mesh.mesh);
   const int n = mesh.mesh.vertex_count();

@@ -18,6 +18,9 @@ struct TexturedMesh {
   std::vector<std::int32_t> sample;
   std::vector<float> scale;
 
+  // n_x, n_y of each sample as far as the surface tells; else empty.
+  std::vector<Eigen::Vector2i> sample_sizes;
+
   int sample_of(int vertex) const { return sample.empty() ? 0 : sample[vertex]; }
   double scale_of(int vertex) const { return scale.empty() ? 1 : scale[vertex]; }
 };

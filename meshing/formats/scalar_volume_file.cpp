@@ -20,15 +20,8 @@
 #include "meshing/formats/output_file.h"
 
 namespace shellgrid {
-namespace {
 
-static_assert(std::endian::native == std::endian::little);
-
-constexpr double most_values = 1 << 28;
-// Deflate packs at most 1032 to 1.
-constexpr std::size_t most_deflation = 1032;
-
-std::size_t bytes_of(ScalarType type) {
+std::size_t value_bytes(ScalarType type) {
   switch (type) {
     case ScalarType::int8:
     case ScalarType::uint8:
@@ -44,6 +37,14 @@ std::size_t bytes_of(ScalarType type) {
       return 8;
   }
 }
+
+namespace {
+
+static_assert(std::endian::native == std::endian::little);
+
+constexpr double most_values = 1 << 28;
+// Deflate packs at most 1032 to 1.
+constexpr std::size_t most_deflation = 1032;
 
 template <class T>
 float value_as(const char* bytes, bool swap) {
@@ -101,7 +102,7 @@ void check_finite(const ScalarVolume& volume, const std::string& path) {
 ScalarVolume decode_volume(std::string_view bytes, const RawLayout& layout, const std::string& path) {
   ScalarVolume volume;
   volume.size = layout.size;
-  const std::size_t step = bytes_of(layout.type);
+  const std::size_t step = value_bytes(layout.type);
   if (bytes.size() / step < volume.count())
     throw InputError(fmt::format("{}: holds {} bytes of values, {} x {} x {} values of {} bytes need {}", path,
                                  bytes.size(), volume.size.x(), volume.size.y(), volume.size.z(), step,
@@ -319,7 +320,7 @@ ScalarVolume read_nrrd(const std::string& path) {
        --lines)
     data.remove_prefix(std::min(data.find('\n'), data.size() - 1) + 1);
   std::int64_t bytes_to_skip = skip("byte skip", "byteskip");
-  const std::size_t needed = static_cast<std::size_t>(layout.size.cast<double>().prod()) * bytes_of(layout.type);
+  const std::size_t needed = static_cast<std::size_t>(layout.size.cast<double>().prod()) * value_bytes(layout.type);
 
   ScalarVolume volume;
   if (text) {

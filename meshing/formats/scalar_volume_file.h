@@ -12,6 +12,7 @@ enum class ScalarType { int8, uint8, int16, uint16, int32, uint32, int64, uint64
 
 // "uint8", "float", … by the names of NRRD and of C. Throws: InputError that lists the known ones.
 ScalarType scalar_type(const std::string& name);
+std::size_t value_bytes(ScalarType type);
 
 // What a file without a header leaves open.
 struct RawLayout {

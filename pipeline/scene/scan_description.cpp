@@ -115,6 +115,10 @@ void describe_meshes(DescriptionSection& root, SampleRecipe& recipe) {
       made.warnings.push_back(
           fmt::format("parts reach {:.4g} mm above the top and are cut off there; raise \"top\" to {:.4g}",
                       result.above_top, now.top + result.above_top));
+    for (const int part : result.unused)
+      made.warnings.push_back(fmt::format(
+          "parts[{}] fills no place of the sample; look at its position, scale and priority, and at those above it",
+          part));
     if (result.lost_material > 0.05)
       made.warnings.push_back(fmt::format(
           "{:.2g} % of the material lies in voxels that are less than half full, and is lost; make the voxel smaller",

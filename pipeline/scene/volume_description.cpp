@@ -170,6 +170,15 @@ void describe_classified(DescriptionSection& root, SampleRecipe& recipe) {
     MadeSample made;
     made.figures = {{"class_shares", result.shares}, {"enclosed_free_space", result.enclosed_free}};
     made.sample = std::move(result.sample);
+    if (source.raw) {
+      const std::uintmax_t bytes = std::filesystem::file_size(source.files.front());
+      const auto values = static_cast<std::uintmax_t>(source.raw->size.cast<std::int64_t>().prod());
+      const std::uintmax_t needed = source.raw->offset + values * value_bytes(source.raw->type);
+      if (bytes > needed)
+        made.warnings.push_back(
+            fmt::format("{}: holds {} bytes, {} more than \"raw\" tells of; look at size, type and offset",
+                        source.files.front(), bytes, bytes - needed));
+    }
     return made;
   };
 }

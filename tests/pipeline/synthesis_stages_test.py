@@ -207,6 +207,21 @@ class Chain(unittest.TestCase):
             self.refused(run("sample", small, "-o", out, "--strict"), 3, "n_x = 32 voxels")
             self.assertFalse(os.path.exists(out))
 
+    def test_what_a_description_leaves_unused_is_told(self):
+        with workplace() as folder:
+            path, out = os.path.join(folder, "odd.json"), os.path.join(folder, "odd.vdb")
+            with open(os.path.join(folder, "long.raw"), "wb") as file:
+                file.write(bytes(24 * 24 * 4 + 100))
+            write_json(path, {"type": "volume", "file": "long.raw", "raw": {"size": [24, 24, 4]}, "spacing": 1,
+                              "classes": [{"value": 0, "material": BODY}]})
+            self.assertEqual(run("sample", path, "-o", out).returncode, 0)
+            self.assertIn("100 more than", record(out)["warnings"][0])
+            write_off(os.path.join(folder, "ball.off"), icosphere(1, 2.0))
+            write_json(path, {"type": "meshes", "size": [32, 32], "voxel": 0.5, "thickness": 4, "top": 0, "parts": [
+                {"ground": 0, "material": BODY}, {"mesh": "ball.off", "material": VEIN, "position": [8, 8, -100]}]})
+            self.assertEqual(run("sample", path, "-o", out).returncode, 0)
+            self.assertIn("parts[1] fills no place", record(out)["warnings"][0])
+
     def test_enlarging_makes_samples_pass(self):
         with workplace() as folder:
             path, out = os.path.join(folder, "small.json"), os.path.join(folder, "small.vdb")
@@ -309,6 +324,12 @@ class Chain(unittest.TestCase):
                          "sg-prepare --spacing 0.5")
             self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o",
                              out + ".vdb", "--thickness", 5), 3, "sg-distance --inside")
+            self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o",
+                             out + ".vdb", "--thickness", 1e-5), 3, "no grid point")
+            write_json(out + ".json", description(size=[32, 40]))
+            self.assertEqual(run("sample", out + ".json", "-o", out + ".vdb").returncode, 0)
+            self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), out + ".vdb", "-o",
+                             out + ".shell.vdb", "--thickness", 2), 3, "32 x 40", "32 x 32")
             run("sample", self.at("sample.json"), "-o", out + ".vdb", "--voxel", 0.4)
             self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), out + ".vdb", "-o",
                              out + ".shell.vdb", "--thickness", 2), 3, "sg-distance --voxel 0.4")
