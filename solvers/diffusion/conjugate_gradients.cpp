@@ -109,6 +109,18 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
     return worst;
   };
 
+  // Where corrections shrink slowly those to come add up; how fast, the first one does not tell.
+  std::vector<double> corrections;
+  const bool slow = contrast_ > parameters_.rough_contrast || layer_share_ > parameters_.thick_layer;
+  const auto caution = [&]() {
+    const std::size_t n = corrections.size();
+    if (!slow) return 1.0;
+    if (n < 2) return 2.0;
+    const double back = corrections[n - std::min<std::size_t>(n, 3)];
+    const double ratio = back > 0 ? std::pow(corrections[n - 1] / back, n < 3 ? 1.0 : 0.5) : 0.0;
+    return 1 / (1 - std::clamp(ratio, 0.0, 0.8));
+  };
+
   Double4 last_energy = {}, with_last = {};
   int restarts = 0;
   bool fresh = true;  // the next direction is the preconditioned residual itself
@@ -122,7 +134,8 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
       if (!std::isfinite(energy[c]) || !std::isfinite(square[c])) fail("a number that is not finite appeared");
     }
     report.residual_history.push_back(worst_residual);
-    report.estimated_error = estimate();
+    corrections.push_back(estimate());
+    report.estimated_error = corrections.back() * caution();
     report.error_history.push_back(report.estimated_error);
     if (report.estimated_error <= tolerance) {
       // The updated residual drifts from the true one; only the true one counts.
@@ -135,6 +148,7 @@ void DiffusionSolver::solve_by_conjugate_gradients(double tolerance, SolveReport
       std::swap(r, image);
       report.residual_history.pop_back();
       report.error_history.pop_back();
+      corrections.pop_back();
       fresh = true;
       --report.iterations;
       continue;
