@@ -13,8 +13,8 @@ import sys
 
 BIN = os.environ.get("SG_BIN", "build/bin")
 # In the order in which a scene needs them; others follow by name.
-ORDER = ["prepare", "distance", "sample", "textons", "synthesize", "shell", "tetrahedralize", "polycube", "polygrid",
-         "diffuse", "render", "compare", "describe", "plan", "report"]
+ORDER = ["prepare", "distance", "sample", "textons", "synthesize", "shell", "irradiance", "tetrahedralize", "polycube",
+         "polygrid", "diffuse", "render", "compare", "describe", "plan", "report"]
 COMMON = {"--quiet", "--verbose", "--threads", "--seed", "--progress"}
 
 

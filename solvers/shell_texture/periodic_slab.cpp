@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/shell_texture/periodic_slab.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <queue>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "meshing/shell/voxel_boundary.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr int margin = 8;          // voxels about the tile that the surface is made of beside its own
+constexpr int rays_per_voxel = 6;  // along x and y, to weigh voxels
+
+Float4 lanes(const Vec3f& v) { return Float4{v.x(), v.y(), v.z(), 0}; }
+
+void check(const BaseVolume& v) {
+  const std::size_t n = v.voxel_count();
+  if (n == 0 || v.extinction.size() != n || v.albedo.size() != n || v.anisotropy.size() != n || v.free.size() != n)
+    throw InputError("base volume: its arrays do not have its size");
+  if (!(v.voxel > 0) || !std::isfinite(v.voxel)) throw InputError("base volume: its voxels must have a size above 0");
+  if (!(v.ior >= 1) || !std::isfinite(v.ior)) throw InputError("base volume: the refractive index must be at least 1");
+  bool any = false;
+  for (std::size_t k = 0; k < n; ++k) {
+    if (v.free[k]) continue;
+    any = true;
+    for (int c = 0; c < 3; ++c)
+      if (!(v.extinction[k][c] >= 0) || !std::isfinite(v.extinction[k][c]) || !(v.albedo[k][c] >= 0) ||
+          !(v.albedo[k][c] <= 1) || !(std::abs(v.anisotropy[k][c]) < 1))
+        throw InputError("base volume: a voxel holds coefficients that no matter has");
+  }
+  if (!any) throw InputError("base volume: all of it is free space");
+}
+
+int wrapped(int i, int n) { return ((i % n) + n) % n; }
+
+}  // namespace
+
+PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel_(volume.voxel), ior_(volume.ior) {
+  check(volume);
+  width_[0] = size_.x() * voxel_;
+  width_[1] = size_.y() * voxel_;
+  depth_ = size_.z() * voxel_;
+  const std::size_t n = volume.voxel_count();
+  matter_.resize(n);
+  // Free voxels take the matter of the nearest one that has some, by steps to neighbours: the surface cuts through
+  // them.
+  std::vector<std::int32_t> from(n, -1);
+  std::queue<std::int32_t> front;
+  for (std::size_t k = 0; k < n; ++k)
+    if (!volume.free[k]) {
+      from[k] = static_cast<std::int32_t>(k);
+      front.push(static_cast<std::int32_t>(k));
+    } else {
+      flat_ = false;
+    }
+  while (!front.empty()) {
+    const std::int32_t k = front.front();
+    front.pop();
+    const int x = k % size_.x(), y = k / size_.x() % size_.y(), z = k / (size_.x() * size_.y());
+    for (int axis = 0; axis < 3; ++axis)
+      for (int step = -1; step <= 1; step += 2) {
+        Vec3i at(x, y, z);
+        at[axis] += step;
+        if (at.z() < 0 || at.z() >= size_.z()) continue;
+        const std::size_t other = volume.index(wrapped(at.x(), size_.x()), wrapped(at.y(), size_.y()), at.z());
+        if (from[other] >= 0) continue;
+        from[other] = from[k];
+        front.push(static_cast<std::int32_t>(other));
+      }
+  }
+  for (std::size_t k = 0; k < n; ++k)
+    matter_[k] = {lanes(volume.extinction[from[k]]), lanes(volume.albedo[from[k]]), lanes(volume.anisotropy[from[k]])};
+
+  if (flat_) {
+    share_.assign(n, 1.0f);
+    return;
+  }
+  std::vector<Vec3i> voxels;
+  int lowest_free = 0;
+  for (int x = -margin; x < size_.x() + margin; ++x)
+    for (int y = -margin; y < size_.y() + margin; ++y)
+      for (int z = 0; z < size_.z() + 3; ++z) {
+        const int inside = std::min(z, size_.z() - 1);
+        if (volume.free[volume.index(wrapped(x, size_.x()), wrapped(y, size_.y()), inside)]) {
+          if (z < size_.z()) lowest_free = std::max(lowest_free, z + 1);
+          continue;
+        }
+        voxels.emplace_back(x, y, z);
+      }
+  const GridFrame frame{Vec3::Constant(0.5 * voxel_), voxel_};
+  surface_ = std::make_unique<TransportSurface>(voxel_boundary(frame, voxels), TriangleMesh());
+  lowest_surface_ = (lowest_free + 1) * voxel_;
+  top_ = -voxel_;
+  weigh_voxels();
+}
+
+bool PeriodicSlab::meet_surface(const Vec3& point, const Vec3& direction, double limit, bool in_matter,
+                                double& distance, Vec3& normal) const {
+  if (flat_) {
+    if (in_matter ? direction.z() >= 0 : direction.z() <= 0) return false;
+    distance = std::max(0.0, -point.z() / direction.z());
+    normal = Vec3(0, 0, -1);
+    return distance <= limit;
+  }
+  // Deep in the matter no surface is near.
+  if (in_matter) {
+    const double end = point.z() + std::min(limit, 1e30) * direction.z();
+    if (point.z() > lowest_surface_ && end > lowest_surface_) return false;
+  }
+  Crossing crossing;
+  if (!surface_->next(point, direction, limit, {in_matter, false}, crossing)) return false;
+  distance = crossing.distance;
+  normal = crossing.normal;
+  return true;
+}
+
+// By rays straight down: how long each is in the matter of each voxel that it meets.
+void PeriodicSlab::weigh_voxels() {
+  share_.assign(matter_.size(), 0.0f);
+  const double step = voxel_ / rays_per_voxel, begin = top_ - voxel_;
+  parallel_for(
+      static_cast<std::size_t>(size_.x()) * size_.y(),
+      [&](std::size_t column) {
+        const int x = static_cast<int>(column) % size_.x(), y = static_cast<int>(column) / size_.x();
+        std::vector<double> length(size_.z(), 0.0);
+        for (int ray = 0; ray < rays_per_voxel * rays_per_voxel; ++ray) {
+          Vec3 point(x * voxel_ + (ray % rays_per_voxel + 0.5) * step, y * voxel_ + (ray / rays_per_voxel + 0.5) * step,
+                     begin);
+          bool inside = false;
+          while (point.z() < depth_) {
+            double distance = 0;
+            Vec3 normal;
+            const double limit = depth_ - point.z();
+            const bool met = meet_surface(point, Vec3(0, 0, 1), limit, inside, distance, normal);
+            const double end = met ? point.z() + distance : depth_;
+            if (inside)
+              for (int z = std::max(0, static_cast<int>(point.z() / voxel_)); z < size_.z() && z * voxel_ < end; ++z)
+                length[z] += std::max(0.0, std::min(end, (z + 1) * voxel_) - std::max(point.z(), z * voxel_));
+            if (!met) break;
+            point.z() = end;
+            inside = !inside;
+          }
+        }
+        for (int z = 0; z < size_.z(); ++z)
+          share_[(static_cast<std::size_t>(z) * size_.y() + y) * size_.x() + x] =
+              static_cast<float>(length[z] / (voxel_ * rays_per_voxel * rays_per_voxel));
+      },
+      64);
+}
+
+}  // namespace shellgrid

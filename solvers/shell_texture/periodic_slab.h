@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// A base volume as a layer without ends: it repeats along x and y, has its mesostructure surface on top, and is open
+// below, where the core begins.
+#pragma once
+#include <memory>
+#include <vector>
+
+#include "solvers/diffusion/channel_lanes.h"
+#include "solvers/shell_texture/base_volume.h"
+#include "solvers/transport/transport_surface.h"
+
+namespace shellgrid {
+
+class PeriodicSlab {
+ public:
+  struct Matter {
+    Float4 extinction = {}, albedo = {}, anisotropy = {};
+  };
+
+  // Throws: InputError where arrays do not fit the size, coefficients are none, or all voxels are free space.
+  explicit PeriodicSlab(const BaseVolume& volume);
+
+  double width_x() const { return width_[0]; }
+  double width_y() const { return width_[1]; }
+  double depth() const { return depth_; }
+  double voxel() const { return voxel_; }
+  double ior() const { return ior_; }
+  const Vec3i& size() const { return size_; }
+  // Above this height (z, negative upwards: depth) there is no matter.
+  double top() const { return top_; }
+  const Matter& matter(std::size_t voxel_index) const { return matter_[voxel_index]; }
+  // Share of each voxel that is matter.
+  const std::vector<float>& share() const { return share_; }
+
+  // The nearest meeting with the mesostructure surface not farther than `limit`, from a point with x and y within the
+  // tile; `limit` must not reach beyond its sides. x, y, z in mm, z the depth; the normal points out of the matter.
+  bool meet_surface(const Vec3& point, const Vec3& direction, double limit, bool in_matter, double& distance,
+                    Vec3& normal) const;
+
+ private:
+  void weigh_voxels();
+
+  Vec3i size_ = Vec3i::Zero();
+  double voxel_ = 1, ior_ = 1, depth_ = 0, top_ = 0;
+  double width_[2] = {};
+  bool flat_ = true;           // no free space: the surface is the plane z = 0
+  double lowest_surface_ = 0;  // below it there is matter everywhere
+  std::vector<Matter> matter_;
+  std::vector<float> share_;
+  std::unique_ptr<TransportSurface> surface_;
+};
+
+}  // namespace shellgrid

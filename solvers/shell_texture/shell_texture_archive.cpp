@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/shell_texture/shell_texture_archive.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "meshing/core/error.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr const char* kind = "shell texture function";
+
+template <class T, class Value>
+TwoLevelGrid<T> fill_grid(const Vec3i& size, const T& background, const Value& value) {
+  TwoLevelGrid<T> grid(Vec3i::Zero(), (size.array() + 7) / 8, background);
+  std::size_t index = 0;
+  for (int z = 0; z < size.z(); ++z)
+    for (int y = 0; y < size.y(); ++y)
+      for (int x = 0; x < size.x(); ++x) grid.set(x, y, z, value(index++));
+  return grid;
+}
+
+std::string name_of(const char* part, int direction, int count) {
+  return direction == count ? fmt::format("{}_back", part) : fmt::format("{}_{:02d}", part, direction);
+}
+
+std::vector<float> mean_errors(const ShellTexture& t) {
+  std::vector<float> result(t.voxel_count(), -1.0f);
+  for (std::size_t v = 0; v < result.size(); ++v) {
+    double sum = 0;
+    int known = 0;
+    for (int l = 0; l <= t.directions.count(); ++l) {
+      const double e = t.error[t.at(l, v)];
+      if (e < 0) continue;
+      sum += e * e;
+      ++known;
+    }
+    if (known > 0) result[v] = static_cast<float>(std::sqrt(sum / known));
+  }
+  return result;
+}
+
+int whole(const VdbArchive& archive, double value, const char* key, double most) {
+  if (!(value >= 1 && value <= most) || value != std::floor(value))
+    throw InputError(fmt::format("{}: the metadata '{}' is out of range", archive.path, key));
+  return static_cast<int>(value);
+}
+
+}  // namespace
+
+VdbArchive archive_shell_texture(const ShellTexture& t) {
+  VdbArchive archive;
+  archive.frame = {Vec3::Constant(0.5 * t.voxel), t.voxel};
+  const int count = t.directions.count();
+  const auto add = [&](const char* part, const std::vector<Vec3f>& values, int l) {
+    archive.grids.push_back({name_of(part, l, count), fill_grid<Vec3f>(t.size, Vec3f::Zero(), [&](std::size_t v) {
+                               return values[t.at(l, v)];
+                             })});
+  };
+  for (int l = 0; l < count; ++l) add("single", t.single, l);
+  for (int l = 0; l <= count; ++l) add("multiple", t.multiple, l);
+  const std::vector<float> errors = mean_errors(t);
+  archive.grids.push_back({"error", fill_grid<float>(t.size, -1.0f, [&](std::size_t v) { return errors[v]; })});
+  archive.grids.push_back({"matter", fill_grid<float>(t.size, 0.0f, [&](std::size_t v) { return t.matter[v]; })});
+  archive.metadata["kind"] = kind;
+  archive.set_numbers(
+      "size", {static_cast<double>(t.size.x()), static_cast<double>(t.size.y()), static_cast<double>(t.size.z())});
+  archive.set_numbers("voxel", {t.voxel});
+  archive.set_numbers("rings", {static_cast<double>(t.directions.rings)});
+  archive.set_numbers("turns", {static_cast<double>(t.directions.turns)});
+  return archive;
+}
+
+ShellTexture restore_shell_texture(const VdbArchive& archive) {
+  const auto entry = archive.metadata.find("kind");
+  if (entry == archive.metadata.end() || entry->second != kind)
+    throw InputError(archive.path + ": not a shell texture function as sg-irradiance writes it");
+  ShellTexture t;
+  const std::vector<double> size = archive.numbers("size", 3);
+  for (int axis = 0; axis < 3; ++axis) t.size[axis] = whole(archive, size[axis], "size", 4096);
+  t.voxel = archive.number("voxel");
+  if (!(t.voxel > 0)) throw InputError(archive.path + ": the metadata 'voxel' is out of range");
+  t.directions.rings = whole(archive, archive.number("rings"), "rings", 1000);
+  t.directions.turns = whole(archive, archive.number("turns"), "turns", 1000);
+  const int count = t.directions.count();
+  const std::size_t voxels = static_cast<std::size_t>(t.size.x()) * t.size.y() * t.size.z();
+  if (static_cast<double>(voxels) * (count + 1) > 1e9) throw InputError(archive.path + ": too large");
+  const auto read = [&](const auto& grid, const auto& put) {
+    std::size_t index = 0;
+    for (int z = 0; z < t.size.z(); ++z)
+      for (int y = 0; y < t.size.y(); ++y)
+        for (int x = 0; x < t.size.x(); ++x) {
+          if (!grid.is_active(x, y, z)) throw InputError(archive.path + ": a grid does not fill its size");
+          put(index++, grid.value(x, y, z));
+        }
+  };
+  t.matter.resize(voxels);
+  t.single.resize(count * voxels);
+  t.multiple.resize((count + 1) * voxels);
+  t.error.resize((count + 1) * voxels);
+  read(archive.get<float>("matter"), [&](std::size_t v, float value) { t.matter[v] = value; });
+  read(archive.get<float>("error"), [&](std::size_t v, float value) {
+    for (int l = 0; l <= count; ++l) t.error[t.at(l, v)] = value;
+  });
+  const auto colours = [&](const char* part, int l, std::vector<Vec3f>& to) {
+    read(archive.get<Vec3f>(name_of(part, l, count)), [&](std::size_t v, const Vec3f& value) {
+      if (!value.allFinite() || (value.array() < 0).any())
+        throw InputError(
+            fmt::format("{}: a value of {} is negative or not finite", archive.path, name_of(part, l, count)));
+      to[t.at(l, v)] = value;
+    });
+  };
+  for (int l = 0; l < count; ++l) colours("single", l, t.single);
+  for (int l = 0; l <= count; ++l) colours("multiple", l, t.multiple);
+  return t;
+}
+
+AttributedMesh view_shell_texture(const ShellTexture& t) {
+  AttributedMesh view;
+  std::vector<std::size_t> shown;
+  for (std::size_t v = 0; v < t.voxel_count(); ++v)
+    if (t.matter[v] > 0.25f) shown.push_back(v);
+  view.mesh.vertices.resize(static_cast<Eigen::Index>(shown.size()), 3);
+  std::vector<Vec3f> light(shown.size(), Vec3f::Zero());
+  float brightest = 0;
+  const std::vector<float> errors = mean_errors(t);
+  VertexProperty channels[3] = {{"red", {}}, {"green", {}}, {"blue", {}}}, quality{"quality", {}};
+  for (std::size_t k = 0; k < shown.size(); ++k) {
+    const std::size_t v = shown[k];
+    const auto x = static_cast<double>(v % t.size.x()), y = static_cast<double>(v / t.size.x() % t.size.y()),
+               z = static_cast<double>(v / (static_cast<std::size_t>(t.size.x()) * t.size.y()));
+    // Depth downwards, as one looks at it.
+    view.mesh.vertices.row(static_cast<Eigen::Index>(k)) = t.voxel * Eigen::RowVector3d(x + 0.5, y + 0.5, -z - 0.5);
+    for (int l = 0; l < t.directions.turns; ++l)
+      light[k] += (t.single[t.at(l, v)] + t.multiple[t.at(l, v)]) / static_cast<float>(t.directions.turns);
+    brightest = std::max(brightest, light[k].maxCoeff());
+    quality.values.push_back(errors[v]);
+  }
+  for (const Vec3f& value : light)
+    for (int c = 0; c < 3; ++c)
+      channels[c].values.push_back(brightest > 0 ? std::pow(value[c] / brightest, 1 / 2.2f) : 0.0f);
+  for (VertexProperty& channel : channels) view.properties.push_back(std::move(channel));
+  view.properties.push_back(std::move(quality));
+  return view;
+}
+
+}  // namespace shellgrid

@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Shell texture functions as files.
+#pragma once
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/vdb_file.h"
+#include "solvers/shell_texture/shell_texture.h"
+
+namespace shellgrid {
+
+// Grids `single_LL` of each direction, `multiple_LL` of each direction, `multiple_back`, `error` (relative standard
+// error of I_m, root mean square over the directions; −1 where nothing is known) and `matter`; metadata `size voxel
+// rings turns`. Without loss but for the errors of the single directions.
+VdbArchive archive_shell_texture(const ShellTexture& texture);
+// Throws: InputError where the archive is not what archive_shell_texture wrote.
+ShellTexture restore_shell_texture(const VdbArchive& archive);
+
+// The voxels' centres, coloured as light from straight above lights them; `quality`: the error.
+AttributedMesh view_shell_texture(const ShellTexture& texture);
+
+}  // namespace shellgrid
