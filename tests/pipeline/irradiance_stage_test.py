@@ -32,7 +32,7 @@ class Irradiance(WorkplaceTest):
             self.assertAlmostEqual(sum(balance.values()), 1, delta=0.06)
         self.assertGreater(results["median_error"], 0)
         vertices, _ = read_ply(self.at("stf.view.ply"))
-        self.assertTrue({"red", "green", "blue", "quality"} <= set(vertices))
+        self.assertTrue({"red", "green", "blue", "quality"} <= set(vertices.dtype.names))
         said = run("describe", out)
         self.assertEqual(said.returncode, 0, said.stderr)
         self.assertIn("shell texture function", said.stdout)
