@@ -174,6 +174,47 @@ std::vector<Rgb> light_at_vertices(const TriangleMesh& surface, const Entrance& 
 
 }  // namespace
 
+std::vector<Light> divide_rectangles(const std::vector<Light>& lights, const ClosestPointQuery& surface, double cell,
+                                     int environment_samples, std::size_t most) {
+  std::vector<Light> result;
+  for (const Light& light : lights) {
+    const auto* rectangle = std::get_if<AreaLight>(&light);
+    if (rectangle == nullptr) {
+      result.push_back(light);
+      continue;
+    }
+    const AreaFrame frame(*rectangle);
+    const double widest = std::sqrt(rectangle->width * rectangle->height / std::max(1, environment_samples / 4));
+    std::vector<AreaLight> parts;
+    for (double share = 0.4;; share *= 1.5) {
+      parts.assign(1, *rectangle);
+      for (std::size_t k = 0; k < parts.size() && parts.size() <= most;) {
+        AreaLight& part = parts[k];
+        const double distance = std::sqrt(surface.nearest(part.position).squared_distance);
+        const double edge = std::max(part.width, part.height);
+        if (edge <= 1.01 * std::min(widest, share * std::max(distance, 1.75 * cell))) {
+          ++k;
+          continue;
+        }
+        // Into two along the longer side.
+        double& side = part.width >= part.height ? part.width : part.height;
+        const Vec3 shift = 0.25 * side * (part.width >= part.height ? frame.right : frame.up);
+        side *= 0.5;
+        AreaLight other = part;
+        part.position -= shift;
+        other.position += shift;
+        parts.push_back(other);
+      }
+      if (parts.size() <= most || share > 1e6) break;
+    }
+    for (AreaLight& part : parts) {
+      part.patches = 1;
+      result.emplace_back(part);
+    }
+  }
+  return result;
+}
+
 DividedLights divide_lights(const std::vector<Light>& lights, const ClosestPointQuery& surface, double cell,
                             int environment_samples) {
   DividedLights divided;

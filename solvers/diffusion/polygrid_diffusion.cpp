@@ -307,7 +307,8 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
       throw InputError("lights: a light stands inside the object");
   const CreaseSplit split(surface);
   const ClosestPointQuery query(split.mesh());
-  const DividedLights divided = divide_lights(lights, query, polygrid.spacing, options.environment_samples);
+  const std::vector<Light> parts = divide_rectangles(lights, query, polygrid.spacing, options.environment_samples);
+  const DividedLights divided = divide_lights(parts, query, polygrid.spacing, options.environment_samples);
   SurfaceIrradiance irradiance =
       surface_irradiance(split.mesh(), geometry, divided.far, ior, options.environment_samples);
   result.light_directions = irradiance.directions;
@@ -336,8 +337,10 @@ DiffusionResult solve_polygrid_diffusion(const Polygrid& polygrid, const Triangl
 
   if (beams) {
     progress.begin("beams", 1);
-    result.beams =
-        first_collision_source(polygrid, coefficients, split.mesh(), geometry, lights, ior, options.beam_samples);
+    constexpr std::size_t most = 512;  // of one rectangle: each costs a beam a quad
+    result.beams = first_collision_source(
+        polygrid, coefficients, split.mesh(), geometry,
+        divide_rectangles(lights, query, polygrid.spacing, options.beam_samples, most), ior, options.beam_samples);
     progress.end();
   }
 

@@ -272,6 +272,7 @@ Rgb radiance(const AreaLight& light, const Vec3& origin, const Vec3& direction, 
 }
 
 std::vector<PatchLight> patch_lights(const AreaLight& light, int count) {
+  if (light.patches > 0) count = light.patches;
   const AreaFrame frame(light);
   const double edge = std::sqrt(light.width * light.height / std::max(1, count));
   const int columns = std::clamp(static_cast<int>(std::lround(light.width / edge)), 1, std::max(1, count));

@@ -30,6 +30,7 @@ struct AreaLight {
   Vec3 up = Vec3(0, 1, 0);          // along its height, as far as it lies in it
   double width = 1, height = 1;     // mm
   Rgb radiance = Rgb::Zero();       // W mm⁻² sr⁻¹
+  int patches = 0;                  // as how many patches it is sampled; 0: as who samples says
 };
 
 // What a ray from `origin` meets of it on its way of length `distance`: its radiance from its front, else nothing.
@@ -102,7 +103,7 @@ IncidentBeam incident_beam(const PatchLight& light, const Vec3& point);
 using SimpleLight = std::variant<DirectionalLight, PointLight, PatchLight>;
 IncidentBeam incident_beam(const SimpleLight& light, const Vec3& point);
 
-// The rectangle as about `count` patches of equal size, nearly square.
+// The rectangle as about `count` patches of equal size, nearly square; as its own number where it has one.
 std::vector<PatchLight> patch_lights(const AreaLight& light, int count);
 
 // All lights as simple ones: environments become about `environment_samples` parallel lights each, area lights a

@@ -4,8 +4,10 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdio>
 #include <numbers>
 
+#include "solvers/diffusion/boundary_irradiance.h"
 #include "solvers/diffusion/polygrid_diffusion.h"
 #include "solvers/scattering/fresnel.h"
 #include "tests/support/closed_shapes.h"
@@ -97,6 +99,56 @@ TEST(NearLamps, AreaLights) {
       EXPECT_NEAR(found.grid / (pi * size * size), 1, 0.015) << source;
       EXPECT_NEAR(found.surface / (pi * size * size), 1, 0.015) << source;
     }
+}
+
+// What wide panels and long tubes send to a ball: of a place whose plane has the whole ball before it, π (R/r)² cos θ.
+TEST(NearLamps, WidePanelsAndLongTubes) {
+  const double radius = 10;
+  const Polygrid grid = test::ball_grid(16, radius, 0.1);
+  const TriangleMesh ball = shapes::sphere(radius, 5);
+  const struct {
+    double width, height, gap;
+  } panels[] = {{300, 300, 20}, {1000, 1000, 20}, {200, 200, 1}, {1, 2000, 2}, {40, 40, 1}, {7, 3, 0.5}};
+  for (const auto& panel : panels) {
+    double expected = 0;
+    const int rows = std::max(8, static_cast<int>(4 * panel.height)),
+              columns = std::max(8, static_cast<int>(4 * panel.width));
+    for (int i = 0; i < rows; ++i)
+      for (int j = 0; j < columns; ++j) {
+        const double x = ((j + 0.5) / columns - 0.5) * panel.width, y = ((i + 0.5) / rows - 0.5) * panel.height,
+                     z = radius + panel.gap, r = std::sqrt(x * x + y * y + z * z);
+        expected += pi * radius * radius * z / (r * r * r) * panel.width * panel.height / (rows * columns);
+      }
+    const AreaLight light{
+        Vec3(0, 0, radius + panel.gap), Vec3(0, 0, -1), Vec3(0, 1, 0), panel.width, panel.height, Rgb::Ones()};
+    for (const std::string& source : {std::string("boundary"), std::string("first-collision")}) {
+      if (source == "first-collision" && panel.width > 50) continue;
+      const Entering found = entering(grid, ball, light, 1, source);
+      std::printf("%g x %g mm, %g mm away, %s: on the grid %.4f, on the mesh %.4f of what falls\n", panel.width,
+                  panel.height, panel.gap, source.c_str(), found.grid / expected, found.surface / expected);
+      EXPECT_NEAR(found.grid / expected, 1, 0.025);
+      EXPECT_NEAR(found.surface / expected, 1, 0.025);
+    }
+  }
+}
+
+// No place sees more of a panel than half of all directions: its irradiance stays below π L.
+TEST(NearLamps, NoPlaceIsBrighterThanThePanel) {
+  const double radius = 10;
+  const Polygrid grid = test::ball_grid(24, radius, 0.1);
+  const TriangleMesh ball = shapes::sphere(radius, 5);
+  const AreaLight panel{Vec3(0, 0, radius + 1), Vec3(0, 0, -1), Vec3(0, 1, 0), 40, 40, Rgb::Ones()};
+  const ClosestPointQuery query(ball);
+  const std::vector<Light> parts = divide_rectangles({panel}, query, grid.spacing, 256);
+  const DividedLights divided = divide_lights(parts, query, grid.spacing, 256);
+  const SceneGeometry geometry(ball);
+  const std::vector<Rgb> far = surface_irradiance(ball, geometry, divided.far, 1, 256).values;
+  const NearLampLight near = near_lamp_light(grid, ball, query, geometry, divided.near, 1);
+  double most = 0;
+  for (std::size_t v = 0; v < far.size(); ++v) most = std::max<double>(most, far[v][0] + near.at_vertices[v][0]);
+  std::printf("%zu parts, brightest vertex %.4f π\n", parts.size(), most / pi);
+  EXPECT_LE(most, 1.03 * pi);
+  EXPECT_GE(most, 0.9 * pi);
 }
 
 TEST(NearLamps, LightsFarAwayAreSampledAsBefore) {
