@@ -44,8 +44,8 @@ void for_lamp_parts(double width, const Distance& distance, const Leaf& leaf) {
 }
 
 // The lights with each rectangle divided into ones that are one patch each: not wider than 0.4 times their distance
-// from the surface, or 0.7 cells where that is more, and about `environment_samples` / 4 of them at least. Where that took
-// more than `most` of one rectangle all of its are wider. `cell`: mm.
+// from the surface, or 0.7 cells where that is more, and about `environment_samples` / 4 of them at least. Where that
+// took more than `most` of one rectangle all of its are wider. `cell`: mm.
 std::vector<Light> divide_rectangles(const std::vector<Light>& lights, const ClosestPointQuery& surface, double cell,
                                      int environment_samples, std::size_t most = 2048);
 
