@@ -6,8 +6,10 @@
 #include <algorithm>
 
 #include "meshing/core/error.h"
+#include "meshing/formats/mesh_file.h"
 #include "meshing/polycube/polygrid_fit.h"
 #include "meshing/shell/shell_fit.h"
+#include "meshing/surface/repair.h"
 
 namespace shellgrid {
 namespace {
@@ -53,9 +55,8 @@ bool is_dark(const Scene& scene) {
   });
 }
 
-bool has_environment(const Scene& scene) {
-  return std::any_of(scene.lights.begin(), scene.lights.end(),
-                     [](const Light& light) { return std::holds_alternative<EnvironmentLight>(light); });
+bool has_extended_light(const Scene& scene) {
+  return std::any_of(scene.lights.begin(), scene.lights.end(), has_extent);
 }
 
 void warn_of_darkness(const Scene& scene, Progress& progress) {
@@ -72,6 +73,12 @@ void require_scattering(const Scene& scene) {
       throw InputError(scene.path + ": material.core.scattering is 0 in " + colour[c] +
                        ": diffusion is a model of light that is scattered; sg-reference (or method.type path-tracing) "
                        "follows it through clear and purely absorbing matter");
+}
+
+TriangleMesh read_closed_surface(const std::string& path) {
+  TriangleMesh mesh = read_mesh(path).mesh;
+  naming(path, [&] { require_closed_surface(mesh, true); });
+  return mesh;
 }
 
 void require_same_object(const ShellVolume& shell, const std::string& shell_path, const TriangleMesh& surface,

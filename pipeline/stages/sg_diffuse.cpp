@@ -122,7 +122,7 @@ void check_operator_options(const StageProgram& program, const std::string& oper
   program.refuse_unless(paper && paper_solver == "adaptive", "--paper-solver adaptive", {"--paper-depths"});
   program.refuse_unless(!paper, "the operator elements", {"--whole-grid", "--initial"});
   program.refuse_unless(source == "first-collision", "the source first-collision", {"--beam-samples"});
-  program.refuse_unless(has_environment(scene), "a scene with an environment light",
+  program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
                         {"--environment-samples", "--beam-samples"});
   if (paper && source == "first-collision") {
     const std::string what = "the source first-collision goes with the operator elements only";
@@ -181,7 +181,7 @@ int main(int argc, char** argv) {
     options.operator_name = method == "scene" ? scene.method.operator_name : method;
     const Polygrid polygrid =
         read_polygrid(polygrid_path, options.operator_name == "paper" ? PolygridParts::all : PolygridParts::cells);
-    const TriangleMesh surface = read_mesh(surface_path).mesh;
+    const TriangleMesh surface = read_closed_surface(surface_path);
     ShellVolume shell;
     require_same_object(polygrid, polygrid_path, surface, surface_path, run.progress());
     if (!shell_path.empty()) {
@@ -205,6 +205,8 @@ int main(int argc, char** argv) {
     const DiffusionResult result =
         solve_polygrid_diffusion(polygrid, surface, material, ior, scene.lights, options, run.progress());
 
+    if (!is_dark(scene) && !(*std::max_element(&result.energy.entering[0], &result.energy.entering[0] + 3) > 0))
+      run.progress().warn(unlit_warning);
     run.start_timer("write");
     write_ply(exitance_path, exitance_mesh(surface, result.exitance, result.irradiance));
     run.note_output(exitance_path);

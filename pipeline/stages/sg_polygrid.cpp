@@ -10,6 +10,7 @@
 #include "meshing/formats/vtkhdf_file.h"
 #include "meshing/polycube/polygrid.h"
 #include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/scene_checks.h"
 
 int main(int argc, char** argv) {
   using namespace shellgrid;
@@ -28,7 +29,7 @@ int main(int argc, char** argv) {
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
     const VoxelPolycube polycube = read_polycube(polycube_path);
-    const TriangleMesh surface = read_mesh(surface_path).mesh;
+    const TriangleMesh surface = read_closed_surface(surface_path);
     run.start_timer("map");
     Polygrid polygrid =
         naming(polycube_path, [&] { return build_polygrid(polycube, surface, options, run.progress()); });

@@ -315,7 +315,7 @@ void trace_light(const SceneInputs& inputs, const LightTracingOptions& how, Camp
   run.start_timer("read");
   const Scene scene = read_scene(inputs.scene);
   end_soon_if_dark(scene, 1, campaign, run);
-  const TriangleMesh mesh = read_mesh(inputs.surface).mesh;
+  const TriangleMesh mesh = read_closed_surface(inputs.surface);
   const TransportObject object = read_object(inputs, scene, mesh, run);
   LightTracingOptions options = how;
   options.seed = run.seed();
@@ -326,6 +326,10 @@ void trace_light(const SceneInputs& inputs, const LightTracingOptions& how, Camp
   const PathState state = campaign.follow(tracing.kind(), inputs.fingerprint(scene, mode, run.seed()), run);
   run.start_timer("write");
   const LightTracingResult result = tracing.result(state);
+  double entering = 0;
+  for (const Estimate& e : result.entering.channel) entering += e.value;
+  constexpr std::uint64_t telling_paths = 1000;
+  if (!(entering > 0) && state.paths >= telling_paths) run.progress().warn(unlit_warning);
   AttributedMesh written = exitance_mesh(mesh, result.exitance, result.irradiance);
   add_colour_property(written, "exitance_error", result.exitance_error);
   add_colour_property(written, "irradiance_error", result.irradiance_error);
@@ -341,7 +345,7 @@ void take_picture(const SceneInputs& inputs, Campaign campaign, bool limited, St
   run.start_timer("read");
   const Scene scene = read_scene(inputs.scene);
   if (!scene.camera) throw InputError(scene.path + ": no camera");
-  const TriangleMesh mesh = read_mesh(inputs.surface).mesh;
+  const TriangleMesh mesh = read_closed_surface(inputs.surface);
   const TransportObject object = read_object(inputs, scene, mesh, run);
   if (scene.floor) run.progress().warn("the scene's floor is left out");
   CameraPathOptions options;

@@ -87,7 +87,8 @@ int main(int argc, char** argv) {
     const Scene scene = read_scene(scene_path);
     if (!scene.camera) throw InputError(scene_path + ": no camera");
     require_memory(scene_path, *scene.camera);
-    program.refuse_unless(has_environment(scene), "a scene with an environment light", {"--environment-samples"});
+    program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
+                          {"--environment-samples"});
     const AttributedMesh surface = read_mesh(surface_path);
     settings.film.samples_per_pixel = samples > 0 ? samples : scene.method.samples_per_pixel;
     settings.film.seed = run.seed();

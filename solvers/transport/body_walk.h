@@ -117,21 +117,23 @@ class BodyWalk {
     }
     const Vec3 before = path.direction;
     scatter(path, place);
-    if (path.events >= leaps_begin && medium_.leaps().possible && !leap(path, before, place.region)) return false;
+    if (path.events >= leaps_begin)
+      if (const ChannelLeaps* leaps = medium_.leaps(path); leaps && !leap(path, *leaps, before, place.region))
+        return false;
     return outlives_limit(path);
   }
 
   // Takes many collisions at once where all about is homogeneous. False where the path ends.
-  bool leap(LightPath& path, const Vec3& before, int region) {
-    const ChannelLeaps& leaps = medium_.leaps();
-    const double reach = medium_.reach(path.point);
-    if (!(leaps.radius(reach, path.weight) > 0)) return true;
+  bool leap(LightPath& path, const ChannelLeaps& leaps, const Vec3& before, int region) {
+    const double reach = medium_.reach(path);
+    if (!(leaps.radius(std::min(reach, body_.surface.radius()), path.weight) > 0)) return true;
+    if (!scattered_evenly(leaps.anisotropy, before.dot(path.direction), path.random)) return true;
     double radius = leaps.radius(std::min(reach, body_.clearance.at(path.point)), path.weight);
-    // The exact distance is dear.
-    if (radius == 0 && body_.distance && path.events % exact_interval == 0 &&
-        leaps.radius(body_.surface.radius(), path.weight) > 0)
+    if (radius == 0 && body_.distance && path.events >= path.next_distance) {
       radius = leaps.radius(std::min(reach, body_.distance->at(path.point)), path.weight);
-    if (radius == 0 || !scattered_evenly(leaps.anisotropy, before.dot(path.direction), path.random)) return true;
+      path.next_distance = path.events + distance_interval;
+    }
+    if (radius == 0) return true;
     tally_.note(PathEvent::leaps);
     const Double4 taken = path.weight * leaps.loss(radius);
     visitor_.absorbed(taken, region);
@@ -247,7 +249,7 @@ class BodyWalk {
   Visitor& visitor_;
   ChunkTally& tally_;
   static constexpr int most_on_the_spot = 8;
-  static constexpr std::uint64_t exact_interval = 64;
+  static constexpr std::uint64_t distance_interval = 32;  // events; the exact distance is dear
   Crossing crossing_, entrance_;
   int crossings_on_the_spot_ = 0;
 };

@@ -64,7 +64,7 @@ struct ChannelLeaps {
     if (!possible) return 0;
     double least = clearance, sum = weight[0] + weight[1] + weight[2];
     for (std::size_t c = 0; c < 3; ++c) {
-      if (!channel[c].possible() && weight[c] <= nothing * sum) continue;
+      if (weight[c] <= nothing * sum) continue;
       least = std::min(least, channel[c].radius(clearance));
     }
     return least;

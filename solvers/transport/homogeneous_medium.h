@@ -67,9 +67,10 @@ class HomogeneousMedium {
   // Of the collision that the last flight ended in.
   const ScatteringPlace& place(const LightPath&) const { return place_; }
 
-  // How its homogeneous part is leapt through, and how far from a point that part surely reaches, mm.
-  const ChannelLeaps& leaps() const { return leaps_; }
-  double reach(const Vec3&) const { return std::numeric_limits<double>::infinity(); }
+  // How the matter of the last collision is leapt through, null: not at all; and how far about it there is surely no
+  // other, mm.
+  const ChannelLeaps* leaps(const LightPath&) const { return leaps_.possible ? &leaps_ : nullptr; }
+  double reach(const LightPath&) const { return std::numeric_limits<double>::infinity(); }
 
  private:
   Double4 extinction_ = {};

@@ -17,6 +17,7 @@ struct LightPath {
   std::uint32_t matter = 0;         // of the last collision, for a medium of voxels
   bool entered = false;             // has been in matter since it last came from outside
   std::uint64_t events = 0, next_limit = event_limit;
+  std::uint64_t next_distance = 0;  // from which event on it may ask again how far the surface is
 
   bool in_matter() const { return inside[0] && !inside[1]; }
 };

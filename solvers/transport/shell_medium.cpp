@@ -10,6 +10,7 @@
 #include <unordered_set>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 #include "meshing/core/random.h"
 #include "solvers/transport/core_voxels.h"
 #include "solvers/transport/homogeneous_medium.h"
@@ -190,8 +191,6 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
                          std::vector<Vec3i>* free_voxels, const LeafMethod* method)
     : voxel_(shell.frame.voxel), per_voxel_(1 / shell.frame.voxel) {
   check_transport_material(shell.core);
-  leaps_ = channel_leaps(to_double(to_lanes(shell.core.extinction)), to_double(to_lanes(shell.core.albedo)),
-                         to_double(to_lanes(shell.core.anisotropy)));
   const Sources sources(shell, inside);
   if (free_voxels) *free_voxels = sources.free_voxels();
   const TwoLevelGrid<std::int32_t>& grid = sources.grid();
@@ -267,9 +266,70 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
   }
   clearance.finish();
   core_clearance_ = std::move(clearance);
+  std::vector<Material> materials;
+  for (const auto& [material, is_core] : list.materials()) materials.push_back(material);
+  std::vector<Vec3i> leaf_corners;
+  for (int index = 0; index < grid.leaf_count(); ++index)
+    leaf_corners.push_back(8 * (grid.leaf_coordinate(index) - grid.lower_leaf()));
+  prepare_leaps(materials, leaf_corners);
   thin_ = !method && methods_.delta > 0 && majorant_ * voxel_ < thin_collisions && least_mean > mild * majorant_;
   methods_.one_majorant = thin_;
   methods_.without_leaf = top_.size() - leaves_.size();
+}
+
+void ShellMedium::prepare_leaps(const std::vector<Material>& materials, const std::vector<Vec3i>& leaf_corners) {
+  constexpr int most_alike = 8;
+  bool any = false;
+  leaps_of_matter_.assign(materials.size(), -1);
+  for (std::size_t m = 0; m < materials.size(); ++m) {
+    const ChannelLeaps leaps =
+        channel_leaps(to_double(to_lanes(materials[m].extinction)), to_double(to_lanes(materials[m].albedo)),
+                      to_double(to_lanes(materials[m].anisotropy)));
+    bool in_voxels = false;
+    for (const DiffuseLeap& leap : leaps.channel) in_voxels = in_voxels || leap.radius((most_alike + 0.5) * voxel_) > 0;
+    if (!leaps.possible || (m > 0 && !in_voxels)) continue;
+    leaps_of_matter_[m] = static_cast<std::int32_t>(leaps_.size());
+    leaps_.push_back(leaps);
+    any = any || in_voxels;
+  }
+  if (!any) return;
+  // Step by step inwards: like its neighbours, which are like theirs so far.
+  alike_.assign(512 * leaves_.size(), 0);
+  for (int step = 1; step <= most_alike; ++step) {
+    std::vector<std::uint8_t> next = alike_;
+    parallel_for(
+        leaves_.size(),
+        [&](std::size_t l) {
+          for (int offset = 0; offset < 512; ++offset) {
+            const std::size_t at = 512 * l + static_cast<std::size_t>(offset);
+            const std::uint32_t own = matter_at({static_cast<std::int32_t>(l), offset});
+            if (leaps_of_matter_[own] < 0 || alike_[at] < step - 1) continue;
+            const Vec3i voxel = leaf_corners[l] + Vec3i(offset >> 6, offset >> 3 & 7, offset & 7);
+            bool alike = true;
+            for (int n = 0; n < 27 && alike; ++n) {
+              const VoxelPlace other = voxel_place(voxel + Vec3i(n / 9 - 1, n / 3 % 3 - 1, n % 3 - 1));
+              alike = other.leaf >= 0 && matter_at(other) == own &&
+                      alike_[512 * static_cast<std::size_t>(other.leaf) + static_cast<std::size_t>(other.offset)] >=
+                          step - 1;
+            }
+            if (alike) next[at] = static_cast<std::uint8_t>(step);
+          }
+        },
+        8);
+    alike_ = std::move(next);
+  }
+}
+
+double ShellMedium::reach(const LightPath& path) const {
+  const Vec3 place = (path.point - origin_) * per_voxel_;
+  if (!(place.cwiseAbs().maxCoeff() < 1e9)) return 0;
+  const Vec3i voxel = place.array().floor().matrix().cast<int>();
+  const VoxelPlace at = voxel_place(voxel);
+  if (at.leaf < 0) return path.matter == 0 ? core_clearance_.at(path.point) : 0;
+  if (alike_.empty() || matter_at(at) != path.matter) return 0;
+  const Vec3 within = place - voxel.cast<double>();
+  const double wall = std::min(within.minCoeff(), 1 - within.maxCoeff());
+  return voxel_ * (wall + alike_[512 * static_cast<std::size_t>(at.leaf) + static_cast<std::size_t>(at.offset)]);
 }
 
 }  // namespace shellgrid

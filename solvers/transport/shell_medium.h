@@ -46,9 +46,12 @@ class ShellMedium {
   template <class Ahead, class Tally>
   bool fly(LightPath& path, double clearance, const Ahead& ahead, Tally& tally) const;
 
-  // As HomogeneousMedium's: of the core.
-  const ChannelLeaps& leaps() const { return leaps_; }
-  double reach(const Vec3& point) const { return core_clearance_.at(point); }
+  // As HomogeneousMedium's: of the core, and of matter so thick that a few voxels of it hold many mean free paths.
+  const ChannelLeaps* leaps(const LightPath& path) const {
+    const std::int32_t index = leaps_of_matter_[path.matter];
+    return index >= 0 ? &leaps_[static_cast<std::size_t>(index)] : nullptr;
+  }
+  double reach(const LightPath& path) const;
 
   ScatteringPlace place(const LightPath& path) const {
     ScatteringPlace place;
@@ -98,6 +101,27 @@ class ShellMedium {
     }
   };
 
+  struct VoxelPlace {
+    std::int32_t leaf = -1;  // none
+    int offset = 0;
+  };
+  VoxelPlace voxel_place(const Vec3i& voxel) const {
+    const int x = voxel.x() >> 3, y = voxel.y() >> 3, z = voxel.z() >> 3;
+    if (!(static_cast<unsigned>(x) < static_cast<unsigned>(count_.x()) &&
+          static_cast<unsigned>(y) < static_cast<unsigned>(count_.y()) &&
+          static_cast<unsigned>(z) < static_cast<unsigned>(count_.z())))
+      return {};
+    return {top_[(static_cast<std::size_t>(x) * count_.y() + y) * count_.z() + z],
+            (voxel.x() & 7) << 6 | (voxel.y() & 7) << 3 | (voxel.z() & 7)};
+  }
+  std::uint32_t matter_at(const VoxelPlace& place) const {
+    if (place.leaf < 0) return 0;
+    const Leaf& leaf = leaves_[static_cast<std::size_t>(place.leaf)];
+    return leaf.method == LeafMethod::uniform ? leaf.first
+                                              : voxels_[leaf.first + static_cast<std::uint32_t>(place.offset)];
+  }
+  void prepare_leaps(const std::vector<Material>& materials, const std::vector<Vec3i>& leaf_corners);
+
   double expected_way(LightPath& path, Flight& flight, std::int32_t index) const;
   template <class Ahead, class Tally>
   bool fly_thin(LightPath& path, double clearance, const Ahead& ahead, Tally& tally) const;
@@ -118,7 +142,10 @@ class ShellMedium {
   double majorant_ = 0;                // of all, mm⁻¹
   bool thin_ = false;                  // all by delta tracking below it
   ClearanceGrid core_clearance_;       // from leaves
-  ChannelLeaps leaps_;
+  std::vector<ChannelLeaps> leaps_;
+  std::vector<std::int32_t> leaps_of_matter_;  // −1: none
+  // Of each leaf's voxels, where any matter is thick: how many voxels about each, in all directions, are like it.
+  std::vector<std::uint8_t> alike_;
   LeafMethodCounts methods_;
 };
 

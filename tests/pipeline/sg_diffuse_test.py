@@ -233,8 +233,8 @@ class Diffuse(unittest.TestCase):
                         ["--operator", "paper", "--whole-grid"], ["--operator", "paper", "--paper-depths", "6"],
                         ["--operator", "paper", "--initial", "surface.ply"]):
             self.refused(2, *options, words="takes it")
-        self.refused(2, "--environment-samples", "9", words="only a scene with an environment light takes it")
-        self.refused(2, "--source", "first-collision", "--beam-samples", "9", words="only a scene with an environment light")
+        self.refused(2, "--environment-samples", "9", words="only a scene with an environment or area light takes it")
+        self.refused(2, "--source", "first-collision", "--beam-samples", "9", words="only a scene with an environment")
 
     def test_a_scene_without_light_is_black(self):
         for lights in (None, [], [{"type": "directional", "direction": [0, 0, -1], "irradiance": 0}]):
@@ -259,6 +259,27 @@ class Diffuse(unittest.TestCase):
         self.refused(2, "--source", "first-collision", "--operator", "paper", words="first-collision")
         for tolerance in ("1e-14", "1e-30"):
             self.refused(2, "--tolerance", tolerance, words="rounding")
+
+    def test_surfaces_that_are_open_or_look_inward(self):
+        vertices, faces = programs.icosphere(3, 10.0)
+        programs.write_off(type(self).at("open.off"), (vertices, faces[:-1]))
+        programs.write_off(type(self).at("inward.off"), (vertices, [face[::-1] for face in faces]))
+        for name, words in (("open.off", "expected a closed surface"), ("inward.off", "look inward")):
+            self.refused(3, surface=name, words=words)
+            for arguments in (["polygrid", "polycube.hdf", name, "-o", "refused.hdf"],
+                              ["reference", "scene.json", name, "-o", "refused.ply", "--paths", "10"]):
+                done = programs.run(*arguments, cwd=self.place.name)
+                self.assertEqual(done.returncode, 3, done.stderr)
+                self.assertEqual(done.stderr.count("\n"), 1, done.stderr)
+                self.assertIn(words, done.stderr)
+
+    def test_light_that_misses_the_object_is_told(self):
+        away = {"type": "area", "position": [0, 30, 0], "direction": [0, 1, 0], "width": 1, "height": 1, "radiance": 1}
+        scene = self.variant("away.json", lights=[away])
+        for done in (self.diffuse("away", scene=scene),
+                     programs.run("reference", scene, "surface.ply", "-o", "away2.ply", "--paths", "2000", cwd=self.place.name)):
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("none of the scene's light enters the object", done.stderr)
 
     def test_a_surface_of_another_object(self):
         programs.write_off(type(self).at("far.off"), programs.icosphere(3, 25.0))

@@ -46,8 +46,8 @@ class GlobalMajorantMedium {
   }
 
   // It does not know where matter is homogeneous.
-  const ChannelLeaps& leaps() const { return leaps_; }
-  double reach(const Vec3&) const { return 0; }
+  const ChannelLeaps* leaps(const LightPath&) const { return nullptr; }
+  double reach(const LightPath&) const { return 0; }
   ScatteringPlace place(const LightPath& path) const {
     const Material here = material(path.point);
     return scattering_place(here.albedo, here.anisotropy, 0);
@@ -66,7 +66,6 @@ class GlobalMajorantMedium {
 
   const ShellVolume& shell_;
   double majorant_ = 0;
-  ChannelLeaps leaps_;
 };
 
 }  // namespace shellgrid::test

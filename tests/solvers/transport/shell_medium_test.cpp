@@ -180,6 +180,36 @@ TEST(ShellMedium, AShellOfTheCoresMatterIsAHomogeneousObject) {
   }
 }
 
+// Voxels of hundreds of mean free paths are leapt through, alone and where others like them are about.
+TEST(ShellMedium, ThickVoxelsAreLeaptThrough) {
+  const Material matter =
+      Material::from_absorption_scattering(Rgb(0, 0.002f, 0.1f), Rgb::Constant(1000), Rgb::Constant(0.3f));
+  Material other = matter;
+  other.anisotropy = Rgb::Constant(0.3001f);
+  const TriangleMesh ball = shapes::sphere(5, 4);
+  const std::vector<Light> sun = {DirectionalLight{Vec3(0, 0.5, -1).normalized(), Rgb::Ones()}};
+  PathState gathered;
+  const LightTracingResult a = trace(TransportObject(ball, matter, 1.4), sun, 3000);
+  for (const bool mixed : {false, true}) {
+    // Of two kinds that differ by next to nothing: no voxel has its like all about it.
+    const ShellVolume shell = test::shell_of(to_ball, 5, 0.25, 2, matter, [&](const Vec3& p, double) {
+      return test::ShellVoxel{mixed && (std::llround(p.sum() / 0.25) & 1) ? other : matter};
+    });
+    const LightTracingResult b = trace(TransportObject(ball, shell, 1.4), sun, 2000, &gathered);
+    EXPECT_GT(gathered.count(PathEvent::leaps), 1000u);
+    EXPECT_LE(gathered.count(PathEvent::limit_roulette), mixed ? 4u : 0u);
+    for (int c = 0; c < 3; ++c) {
+      const auto near = [&](const Estimate& x, const Estimate& y) {
+        EXPECT_NEAR(x.value, y.value, 4 * std::hypot(x.standard_error, y.standard_error) + 1e-3 * x.value) << c;
+      };
+      near(a.leaving.channel[c], b.leaving.channel[c]);
+      const Estimate shell_part = b.absorbed_shell.channel[c], core_part = b.absorbed_core.channel[c];
+      near(a.absorbed_core.channel[c],
+           {shell_part.value + core_part.value, std::hypot(shell_part.standard_error, core_part.standard_error)});
+    }
+  }
+}
+
 TEST(ShellMedium, AllMethodsAgree) {
   const TriangleMesh ball = shapes::sphere(5, 4);
   const ShellVolume shell = test::shell_of(to_ball, 5, 0.4, 2, grey(0.01, 1, 0.3), [](const Vec3& p, double) {
