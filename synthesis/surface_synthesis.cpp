@@ -14,6 +14,7 @@
 #include "meshing/core/random.h"
 #include "meshing/surface/direction_field.h"
 #include "synthesis/synthesis_level.h"
+#include "synthesis/texton_sweep.h"
 #include "synthesis/window_optimization.h"
 
 namespace shellgrid {
@@ -34,6 +35,15 @@ class Synthesizer {
   }
 
   void run(Progress& progress) {
+    if (options_.method == SynthesisMethod::textons) {
+      progress.begin("synthesize", 1);
+      comparisons_ = sweep_textons(result_.surface, textons_,
+                                   {.neighbourhood = options_.neighbourhood, .seed = options_.seed}, place_);
+      measure_coherence(build_synthesis_level(result_.surface, result_.hierarchy, 0, textons_.voxel, layers_.symmetry));
+      write_result();
+      progress.end();
+      return;
+    }
     const VertexHierarchy& hierarchy = result_.hierarchy;
     const int coarsest = static_cast<int>(hierarchy.levels.size()) - 1;
     place_.resize(result_.surface.mesh.vertex_count());

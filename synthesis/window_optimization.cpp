@@ -5,8 +5,11 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
+#include <numeric>
+#include <optional>
 
 #include "meshing/core/parallel.h"
+#include "synthesis/appearance_tree.h"
 
 namespace shellgrid {
 namespace {
@@ -14,6 +17,7 @@ namespace {
 // What a window elsewhere, and a texel that another window says, must be better by, in variances: without these, texels
 // that look the same would be shuffled.
 constexpr float move_cost = 0.01f, change_cost = 0.03f;
+constexpr float search_bound = 0.05f;  // windows that differ by less, in variances, are near enough
 constexpr int reach = 2, across = 2 * reach + 1, places = across * across, centre = places / 2;
 
 using Features = Eigen::Array<float, TextonSet::dimension, 1>;
@@ -52,6 +56,7 @@ class WindowOptimizer {
   }
 
   long run(int passes) {
+    index_windows();
     std::vector<LayerPlace> next(place_.size());
     shown_.resize(place_.size());
     for (int pass = 0; pass < passes; ++pass) {
@@ -74,6 +79,41 @@ class WindowOptimizer {
     LayerPlace from = layers_.turned(there, -neighbour.turn);
     from.at = layers_.wrap(from.layer, from.at - neighbour.rotate(neighbour.offset));
     return from;
+  }
+
+  // A row of the features around a texel, each times the root of its weight.
+  template <class Row>
+  void gather_window(const SampleLayer& layer, int at, Row&& row) const {
+    const int x = at % layer.width, y = at / layer.width;
+    for (int k = 0; k < places; ++k) {
+      const int sx = ((x + k % across - reach) % layer.width + layer.width) % layer.width;
+      const int sy = ((y + k / across - reach) % layer.height + layer.height) % layer.height;
+      row.segment(k * TextonSet::dimension, TextonSet::dimension) =
+          std::sqrt(weight_[k]) * features(layer.first + sy * layer.width + sx).matrix().transpose();
+    }
+  }
+
+  // The principal components of the samples' windows, and a tree of all layers'.
+  void index_windows() {
+    RowMatrixf rows(layers_.base_texel_count(), places * TextonSet::dimension);
+    RowMatrixf reduced(layers_.texel_count(), AppearanceTree::dimension);
+    for (int l = 0; l < layers_.size(); ++l) {
+      const SampleLayer& layer = layers_[l];
+      const int first = l < layers_.sample_count ? layer.first : 0;
+      parallel_for(layer.texel_count(), [&](std::size_t at) {
+        gather_window(layer, static_cast<int>(at), rows.row(first + static_cast<Eigen::Index>(at)));
+      });
+      if (l + 1 == layers_.sample_count) {
+        components_ = find_principal_components(rows, AppearanceTree::dimension);
+        reduced.topRows(rows.rows()) = project(rows, components_);
+      } else if (l >= layers_.sample_count) {
+        reduced.middleRows(layer.first, layer.texel_count()) = project(rows.topRows(layer.texel_count()), components_);
+      }
+    }
+    reduced_ = std::move(reduced);
+    std::vector<std::int32_t> all(layers_.texel_count());
+    std::iota(all.begin(), all.end(), 0);
+    tree_.emplace(reduced_, std::move(all));
   }
 
   // The place whose window in the sample is most like that of the vertex.
@@ -127,6 +167,22 @@ class WindowOptimizer {
                                      static_cast<std::size_t>(layers_.texel(from)) * textons_.candidates_each();
     for (int k = 0; k < textons_.candidates_each(); ++k)
       if (candidates[k] >= 0) consider(layers_.layer_of(candidates[k]), candidates[k], fraction);
+    // Where no candidate fits, the window of all that is nearest in its principal components is one more.
+    if (best_distance > search_bound * variance_ * total_weight_ && count == places) {
+      AppearanceTree::Point query = -(components_.mean * components_.basis).transpose().array();
+      for (int i = 0; i < places; ++i)
+        query += std::sqrt(weight_[used[i]]) *
+                 (components_.basis.middleRows(used[i] * TextonSet::dimension, TextonSet::dimension).transpose() *
+                  wanted[i].matrix())
+                     .array();
+      float distance = std::numeric_limits<float>::max();
+      std::int32_t nearest = std::numeric_limits<std::int32_t>::max();
+      const auto may_be = [&](std::int32_t t) {
+        return layers_.sample_count == 1 || allowed_(static_cast<std::int32_t>(v), layers_[layers_.layer_of(t)].sample);
+      };
+      tree_->nearest(query, may_be, distance, nearest);
+      if (nearest < layers_.texel_count()) consider(layers_.layer_of(nearest), nearest, fraction);
+    }
     for (std::int32_t t = 0; exhaustive_ && t < layers_.texel_count(); ++t)
       consider(layers_.layer_of(t), t, Vec2f(0.5f, 0.5f));
     comparisons_.fetch_add(compared, std::memory_order_relaxed);
@@ -170,6 +226,9 @@ class WindowOptimizer {
   std::vector<std::int32_t> shown_;           // n: texel of the vertex's place
   std::vector<TangentNeighbour> neighbours_;  // n·25
   std::array<float, places> weight_;
+  PrincipalComponents components_;
+  RowMatrixf reduced_;
+  std::optional<AppearanceTree> tree_;
   std::atomic<long> comparisons_ = 0;
   float variance_ = 0, total_weight_ = 0;
 };

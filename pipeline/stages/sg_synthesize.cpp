@@ -16,7 +16,7 @@
 using namespace shellgrid;
 
 int main(int argc, char** argv) {
-  std::string surface_path, textons_path, paint_path;
+  std::string surface_path, textons_path, paint_path, method = "coherence";
   SynthesisOptions options;
   std::vector<double> direction = {0, 1, 0}, orient;
   double voxel = 0, scale = 1;
@@ -28,6 +28,12 @@ int main(int argc, char** argv) {
                 "sample, quality or red",
                 true);
   program.output("synthesized.ply", "the mesh with texture_u, texture_v, direction_x/y/z and colours");
+  program.option(
+      "--method", method,
+      "coherent candidates, coarse to fine; every texel as a candidate, a slow yardstick; or the paper's sweep "
+      "by textons",
+      {"coherence", "exhaustive", "textons"});
+  program.option("--neighbourhood", options.neighbourhood, "texels", "across, odd; of the sweep by textons", 3, 31);
   program.option("--voxel", voxel, "mm", "edge of a voxel; 0 takes the sample's", 0, 1e4);
   program.option("--scale", scale, "", "how much larger than it is the sample appears along the surface", 0.25, 4);
   program.option("--direction", direction, "", "the texture's u runs this way where the surface allows");
@@ -42,6 +48,13 @@ int main(int argc, char** argv) {
   program.option("--jitter", options.jitter, "texels", "random shift of coordinates at coarse levels", 0, 10);
   program.example("sg-synthesize surface.ply textons.vdb -o synthesized.ply", "then look at it with MeshLab");
   return program.run(argc, argv, [&](StageRun& run) {
+    options.method = method == "textons"      ? SynthesisMethod::textons
+                     : method == "exhaustive" ? SynthesisMethod::exhaustive
+                                              : SynthesisMethod::coherence;
+    program.refuse_unless(method == "textons", "--method textons", {"--neighbourhood"});
+    program.refuse_unless(method != "textons", "a method but textons",
+                          {"--passes", "--final-passes", "--window-passes", "--relaxation", "--jitter"});
+    if (options.neighbourhood % 2 == 0) throw UsageError("--neighbourhood: must be odd");
     options.direction = Vec3(direction[0], direction[1], direction[2]);
     if (!(options.direction.norm() > 0)) throw UsageError("--direction: must not be the zero vector");
     if (orient.size() % 6 != 0) throw UsageError("--orient: takes six numbers for each point and direction");

@@ -27,7 +27,7 @@ int main(int argc, char** argv) {
   program.option(
       "--symmetry", symmetry,
       "turns after which the sample looks alike, so that synthesis may lay it in any of them: 1 none, 2 half "
-      "turns, 4 quarter turns; auto recognises them",
+      "turns, 4 quarter turns; auto recognises them, except with --method textons",
       {"auto", "1", "2", "4"});
   program.example("sg-textons sample.vdb -o textons.vdb", "ready for sg-synthesize");
   program.example("sg-textons moss.vdb stone.vdb -o textons.vdb", "two samples that are to share a surface");
@@ -40,7 +40,7 @@ int main(int argc, char** argv) {
     run.start_timer("analyse");
     options.seed = run.seed();
     options.quantize = method == "textons";
-    options.symmetry = symmetry == "auto" ? 0 : std::stoi(symmetry);
+    options.symmetry = symmetry != "auto" ? std::stoi(symmetry) : options.quantize ? 1 : 0;
     TextonStatistics statistics;
     const TextonSet textons = make_textons(all, options, &statistics, run.progress());
     run.start_timer("write");

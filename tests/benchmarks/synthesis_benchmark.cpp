@@ -31,7 +31,10 @@ std::vector<Method> make_methods() {
     methods.back().name = name;
     return methods.back();
   };
-  add("textons").textons.quantize = true;
+  add("textons' centres").textons.quantize = true;
+  Method& papers = add("the paper's sweep");
+  papers.textons.quantize = true;
+  papers.synthesis.method = SynthesisMethod::textons;
   for (int k : {1, 2, 5, 8}) add(fmt::format("{} candidates", k)).textons.candidate_count = k;
   Method& once = add("one pass");
   once.synthesis.coarse_passes = once.synthesis.passes = once.synthesis.final_passes = 1;
@@ -39,7 +42,10 @@ std::vector<Method> make_methods() {
   often.synthesis.coarse_passes = often.synthesis.passes = often.synthesis.final_passes = 12;
   add("no relaxation").synthesis.relaxation_sweeps = 0;
   add("no jitter").synthesis.jitter = 0;
-  add("no penalty").synthesis.incoherence_penalty = 1;
+  add("penalty of 1.05").synthesis.incoherence_penalty = 1.05;
+  add("no windows").synthesis.window_passes = 0;
+  add("12 rounds of windows").synthesis.window_passes = 12;
+  for (int symmetry : {2, 4}) add(fmt::format("turned {} ways", symmetry)).textons.symmetry = symmetry;
   return methods;
 }
 

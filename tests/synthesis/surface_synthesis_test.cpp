@@ -10,6 +10,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/random.h"
+#include "meshing/surface/retile.h"
 #include "synthesis/synthesis_quality.h"
 #include "tests/synthesis/synthesis_shapes.h"
 
@@ -158,6 +159,108 @@ TEST(SurfaceSynthesis, SameAtAnyThreadCountAndAnotherForAnotherSeed) {
   const std::vector<Vec2f> first = run(1, 5);
   EXPECT_TRUE(first == run(3, 5));
   EXPECT_FALSE(first == run(1, 6));
+}
+
+// Candidates lose little: looking at every texel instead does not come nearer to the sample.
+TEST(SurfaceSynthesis, IsAsNearToTheSampleAsExhaustiveSearch) {
+  double own = 0, exhaustive = 0;
+
+  for (const SampleDefinition& definition : {testing::cells(48), testing::spots(48), testing::wood(48)}) {
+    TextonOptions textons_options;
+    textons_options.texton_count = 40;
+    const TextonSet textons = make_textons(make_procedural_sample(definition), textons_options);
+    const TriangleMesh mesh = testing::torus(4.4, 1.9, 70, 30);
+    SynthesisOptions options;
+    std::vector<int> all(mesh.vertex_count());
+    std::iota(all.begin(), all.end(), 0);
+    const auto distance = [&] {
+      const std::vector<double> d = window_distances(synthesize_surface(mesh, textons, options), textons, all);
+      return std::accumulate(d.begin(), d.end(), 0.0) / static_cast<double>(d.size());
+    };
+    own += distance() / 3;
+    options.method = SynthesisMethod::exhaustive;
+    exhaustive += distance() / 3;
+  }
+  EXPECT_LT(own, 1.05 * exhaustive);
+  std::printf("%g %g\n", own, exhaustive);
+}
+
+// Where a sweep ends, an atlas is cut or levels meet, windows would be less like the sample's. Planes cut the surface
+// in closed loops; what lies along them, over several seeds, is as good as all the rest.
+TEST(SurfaceSynthesis, NoClosedLoopIsASeam) {
+  TextonOptions textons_options;
+  textons_options.texton_count = 40;
+  const TextonSet textons = make_textons(make_procedural_sample(testing::cells(32)), textons_options);
+  RetileOptions tiles;
+  tiles.spacing = 0.4;
+  const TriangleMesh mesh = retile_surface(testing::torus(7, 3.2, 120, 60), tiles);
+  std::vector<int> all(mesh.vertex_count());
+  std::iota(all.begin(), all.end(), 0);
+  std::vector<double> sum(mesh.vertex_count(), 0.0);
+  for (std::uint64_t seed = 0; seed < 20; ++seed) {
+    SynthesisOptions options;
+    options.seed = seed;
+    const std::vector<double> distance = window_distances(synthesize_surface(mesh, textons, options), textons, all);
+    for (int v : all) sum[v] += distance[v];
+  }
+  const double mean = std::accumulate(sum.begin(), sum.end(), 0.0) / mesh.vertex_count();
+  RandomStream random(4);
+  double worst = 0;
+  for (int loop = 0; loop < 24; ++loop) {
+    Vec3 normal = Vec3::Zero();
+    if (loop < 12)
+      normal[loop % 3] = 1;
+    else
+      normal = Vec3(random.next() - 0.5, random.next() - 0.5, random.next() - 0.5).normalized();
+    const Eigen::VectorXd height = mesh.vertices * normal;
+    const double at = height.minCoeff() + (0.2 + 0.6 * random.next()) * (height.maxCoeff() - height.minCoeff());
+    double along = 0, count = 0;
+    for (int v : all)
+      if (std::abs(height[v] - at) < 0.8) along += sum[v], count += 1;
+    ASSERT_GT(count, 100);
+    worst = std::max(worst, std::abs(along / count / mean - 1));
+  }
+  EXPECT_LT(worst, 0.1);
+  std::printf("worst %g\n", worst);
+}
+
+TEST(TextonSweep, ShowsTheSampleAndIsDeterministic) {
+  TextonOptions options;
+  options.texton_count = 100;
+  options.quantize = true;
+  const MaterialSample sample = make_procedural_sample(testing::cells(48));
+  const TextonSet textons = make_textons(sample, options);
+  const TriangleMesh mesh = testing::torus(6, 2.4, 95, 38);
+  SynthesisOptions papers;
+  papers.method = SynthesisMethod::textons;
+  const SurfaceTexture texture = synthesize_surface(mesh, textons, papers);
+  const SynthesisQuality quality = measure_synthesis(texture, textons);
+  EXPECT_LT(quality.window_distance, quality.random / 2);
+  EXPECT_GT(quality.coherence, 0.3);
+  // A candidate for each of the neighbours that are there, and k for each.
+  EXPECT_GT(texture.comparisons, 2 * mesh.vertex_count());
+  EXPECT_LT(texture.comparisons, 6 * 20 * mesh.vertex_count());
+  EXPECT_TRUE(synthesize_surface(mesh, textons, papers).coordinate == texture.coordinate);
+  papers.seed = 1;
+  EXPECT_FALSE(synthesize_surface(mesh, textons, papers).coordinate == texture.coordinate);
+  const SynthesisQuality own = measure_synthesis(synthesize_surface(mesh, make_textons(sample, {}), {}), textons);
+  EXPECT_LT(own.window_distance, quality.window_distance);
+  options.symmetry = 4;
+  EXPECT_THROW(synthesize_surface(mesh, make_textons(sample, options), papers), InputError);
+  options.symmetry = 1;
+  EXPECT_THROW(synthesize_surface(mesh, make_textons({&sample, &sample}, options), papers), InputError);
+}
+
+// On a plane whose vertices stand a texel apart, one patch is a perfect neighbourhood at each step: the sweep copies.
+TEST(TextonSweep, CopiesWhereItCan) {
+  TextonOptions options;
+  options.texton_count = 400;
+  const TextonSet textons = make_textons(make_procedural_sample(testing::marble(48)), options);
+  SynthesisOptions papers;
+  papers.method = SynthesisMethod::textons;
+  papers.direction = Vec3(1, 0, 0);
+  const SurfaceTexture texture = synthesize_surface(testing::patch(40, 0.4), textons, papers);
+  EXPECT_GT(measure_synthesis(texture, textons).coherence, 0.9);
 }
 
 TEST(SurfaceSynthesis, WorkGrowsLinearlyWithTheVertices) {

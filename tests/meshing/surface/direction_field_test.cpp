@@ -83,6 +83,29 @@ TEST(DirectionField, TakesTheDirectionsWantedOfIt) {
   EXPECT_EQ(std::accumulate(indices.begin(), indices.end(), 0), 0);
 }
 
+// Alike after half or quarter turns: singularities are that much milder, and add up to as many times Euler's number.
+TEST(DirectionField, SymmetricFieldsHaveFractionalSingularities) {
+  const TriangleMesh mesh = testing::sphere(9, 5);
+  const HalfEdges half_edges = build_half_edges(mesh);
+  const VertexMatrix normals = vertex_normals(mesh);
+  const VertexHierarchy hierarchy = build_vertex_hierarchy(mesh, half_edges, normals, 0.4, 5, 3);
+  for (int symmetry : {1, 2, 4}) {
+    const VertexMatrix field = make_direction_field(mesh, normals, hierarchy, Vec3(0.2, 1, 0.1), {}, symmetry);
+    const std::vector<int> indices = direction_field_indices(mesh, normals, field, symmetry);
+    EXPECT_EQ(std::accumulate(indices.begin(), indices.end(), 0), 2 * symmetry);
+    int singular = 0;
+    for (int index : indices) {
+      EXPECT_LE(std::abs(index), 1);
+      singular += index != 0;
+    }
+    EXPECT_LE(singular, 4 * symmetry);
+    for (int v = 0; v < mesh.vertex_count(); ++v) {
+      ASSERT_NEAR(field.row(v).norm(), 1, 1e-9);
+      ASSERT_NEAR(field.row(v).dot(normals.row(v)), 0, 1e-9);
+    }
+  }
+}
+
 TEST(DirectionField, RefusesDirectionsAcrossTheSurface) {
   const TriangleMesh mesh = testing::torus(10, 4, 80, 32);
   const HalfEdges half_edges = build_half_edges(mesh);
