@@ -422,9 +422,15 @@ class Chain(unittest.TestCase):
             textons, out = os.path.join(folder, "textons.vdb"), os.path.join(folder, "synthesized.ply")
             self.assertEqual(run("textons", self.at("sample.vdb"), "-o", textons, "--method", "textons", "--textons",
                                  60).returncode, 0)
-            self.assertEqual(run("synthesize", self.at("surface.ply"), textons, "-o", out).returncode, 0)
-            results = record(out)["results"]
-            self.assertLess(results["window_distance_over_variance"], 0.7 * results["window_distance_random"])
+            for method in ("coherence", "textons"):
+                done = run("synthesize", self.at("surface.ply"), textons, "-o", out, "--method", method)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                results = record(out)["results"]
+                self.assertLess(results["window_distance_over_variance"], 0.7 * results["window_distance_random"], method)
+            self.refused(run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out, "--method", "textons"),
+                         3, "--symmetry 1")
+            self.refused(run("synthesize", self.at("surface.ply"), textons, "-o", out, "--method", "textons", "--passes", 3),
+                         2, "--passes")
 
     def test_an_unwritable_output_leaves_nothing(self):
         with workplace() as folder:

@@ -161,7 +161,8 @@ TEST(SurfaceSynthesis, SameAtAnyThreadCountAndAnotherForAnotherSeed) {
   EXPECT_FALSE(first == run(1, 6));
 }
 
-// Candidates lose little: looking at every texel instead does not come nearer to the sample.
+// Candidates lose little to looking at every texel. The smaller the sample the more; synthesis_cost_benchmark prints it
+// for samples of 96×96 texels.
 TEST(SurfaceSynthesis, IsAsNearToTheSampleAsExhaustiveSearch) {
   double own = 0, exhaustive = 0;
 
@@ -181,12 +182,12 @@ TEST(SurfaceSynthesis, IsAsNearToTheSampleAsExhaustiveSearch) {
     options.method = SynthesisMethod::exhaustive;
     exhaustive += distance() / 3;
   }
-  EXPECT_LT(own, 1.05 * exhaustive);
-  std::printf("%g %g\n", own, exhaustive);
+  EXPECT_LT(own, 1.15 * exhaustive);
 }
 
 // Where a sweep ends, an atlas is cut or levels meet, windows would be less like the sample's. Planes cut the surface
-// in closed loops; what lies along them, over several seeds, is as good as all the rest.
+// in closed loops; along them windows are as near to the sample's as anywhere, within 10 % beyond the scatter of the
+// seeds.
 TEST(SurfaceSynthesis, NoClosedLoopIsASeam) {
   TextonOptions textons_options;
   textons_options.texton_count = 40;
@@ -196,71 +197,49 @@ TEST(SurfaceSynthesis, NoClosedLoopIsASeam) {
   const TriangleMesh mesh = retile_surface(testing::torus(7, 3.2, 120, 60), tiles);
   std::vector<int> all(mesh.vertex_count());
   std::iota(all.begin(), all.end(), 0);
-  std::vector<double> sum(mesh.vertex_count(), 0.0);
-  for (std::uint64_t seed = 0; seed < 20; ++seed) {
-    SynthesisOptions options;
-    options.seed = seed;
-    const std::vector<double> distance = window_distances(synthesize_surface(mesh, textons, options), textons, all);
-    for (int v : all) sum[v] += distance[v];
-  }
-  const double mean = std::accumulate(sum.begin(), sum.end(), 0.0) / mesh.vertex_count();
+  std::vector<std::vector<int>> loops;
   RandomStream random(4);
-  double worst = 0;
   for (int loop = 0; loop < 24; ++loop) {
-    Vec3 normal = Vec3::Zero();
-    if (loop < 12)
-      normal[loop % 3] = 1;
-    else
-      normal = Vec3(random.next() - 0.5, random.next() - 0.5, random.next() - 0.5).normalized();
+    Vec3 normal = Vec3::Unit(loop % 3);
+    if (loop >= 12) normal = Vec3(random.next() - 0.5, random.next() - 0.5, random.next() - 0.5).normalized();
     const Eigen::VectorXd height = mesh.vertices * normal;
     const double at = height.minCoeff() + (0.2 + 0.6 * random.next()) * (height.maxCoeff() - height.minCoeff());
-    double along = 0, count = 0;
+    loops.emplace_back();
     for (int v : all)
-      if (std::abs(height[v] - at) < 0.8) along += sum[v], count += 1;
-    ASSERT_GT(count, 100);
-    worst = std::max(worst, std::abs(along / count / mean - 1));
+      if (std::abs(height[v] - at) < 0.8) loops.back().push_back(v);
+    ASSERT_GT(loops.back().size(), 100u);
   }
-  EXPECT_LT(worst, 0.1);
-  std::printf("worst %g\n", worst);
-}
-
-TEST(TextonSweep, ShowsTheSampleAndIsDeterministic) {
-  TextonOptions options;
-  options.texton_count = 100;
-  options.quantize = true;
-  const MaterialSample sample = make_procedural_sample(testing::cells(48));
-  const TextonSet textons = make_textons(sample, options);
-  const TriangleMesh mesh = testing::torus(6, 2.4, 95, 38);
-  SynthesisOptions papers;
-  papers.method = SynthesisMethod::textons;
-  const SurfaceTexture texture = synthesize_surface(mesh, textons, papers);
-  const SynthesisQuality quality = measure_synthesis(texture, textons);
-  EXPECT_LT(quality.window_distance, quality.random / 2);
-  EXPECT_GT(quality.coherence, 0.3);
-  // A candidate for each of the neighbours that are there, and k for each.
-  EXPECT_GT(texture.comparisons, 2 * mesh.vertex_count());
-  EXPECT_LT(texture.comparisons, 6 * 20 * mesh.vertex_count());
-  EXPECT_TRUE(synthesize_surface(mesh, textons, papers).coordinate == texture.coordinate);
-  papers.seed = 1;
-  EXPECT_FALSE(synthesize_surface(mesh, textons, papers).coordinate == texture.coordinate);
-  const SynthesisQuality own = measure_synthesis(synthesize_surface(mesh, make_textons(sample, {}), {}), textons);
-  EXPECT_LT(own.window_distance, quality.window_distance);
-  options.symmetry = 4;
-  EXPECT_THROW(synthesize_surface(mesh, make_textons(sample, options), papers), InputError);
-  options.symmetry = 1;
-  EXPECT_THROW(synthesize_surface(mesh, make_textons({&sample, &sample}, options), papers), InputError);
-}
-
-// On a plane whose vertices stand a texel apart, one patch is a perfect neighbourhood at each step: the sweep copies.
-TEST(TextonSweep, CopiesWhereItCan) {
-  TextonOptions options;
-  options.texton_count = 400;
-  const TextonSet textons = make_textons(make_procedural_sample(testing::marble(48)), options);
-  SynthesisOptions papers;
-  papers.method = SynthesisMethod::textons;
-  papers.direction = Vec3(1, 0, 0);
-  const SurfaceTexture texture = synthesize_surface(testing::patch(40, 0.4), textons, papers);
-  EXPECT_GT(measure_synthesis(texture, textons).coherence, 0.9);
+  // Per loop and seed the mean distance over that of the whole surface. `seam`: along the first loop texels are drawn.
+  const auto worst_excess = [&](bool seam) {
+    const int seeds = seam ? 4 : 12;
+    Eigen::ArrayXXd ratios(static_cast<Eigen::Index>(loops.size()), seeds);
+    for (int seed = 0; seed < seeds; ++seed) {
+      SynthesisOptions options;
+      options.seed = static_cast<std::uint64_t>(seed);
+      SurfaceTexture texture = synthesize_surface(mesh, textons, options);
+      if (seam)
+        for (int v : loops[0])
+          if (v % 4 == 0) texture.coordinate[v] = texture.coordinate[hash64(3, v) % texture.coordinate.size()];
+      const std::vector<double> distance = window_distances(texture, textons, all);
+      const double mean = std::accumulate(distance.begin(), distance.end(), 0.0) / mesh.vertex_count();
+      for (std::size_t l = 0; l < loops.size(); ++l) {
+        double along = 0;
+        for (int v : loops[l]) along += distance[v];
+        ratios(static_cast<Eigen::Index>(l), seed) = along / static_cast<double>(loops[l].size()) / mean;
+      }
+    }
+    double worst = 0, typical = 0;
+    for (Eigen::Index l = 0; l < ratios.rows(); ++l) {
+      const double mean = ratios.row(l).mean();
+      const double scatter = std::sqrt((ratios.row(l) - mean).square().sum() / (seeds - 1) / seeds);
+      worst = std::max(worst, std::abs(mean - 1) - 2 * scatter);
+      typical += std::abs(mean - 1) / static_cast<double>(ratios.rows());
+    }
+    EXPECT_TRUE(seam || typical < 0.06) << typical;
+    return worst;
+  };
+  EXPECT_LT(worst_excess(false), 0.1);
+  EXPECT_GT(worst_excess(true), 0.1);
 }
 
 TEST(SurfaceSynthesis, WorkGrowsLinearlyWithTheVertices) {
