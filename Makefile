@@ -5,7 +5,7 @@
 #   make bench       run time against error, drawn (SG_LONG=1: larger problems, more repetitions)
 #   make geometry-report [MESHES=folder] [OUT=dir] [NODES=1e5] [LIMIT=n] [JOBS=1]
 #                    every mesh of libcgal-demo (and of a folder) up to its polygrid: a table and pictures
-#   make synthesis-report [MESHES=folder] [OUT=dir] [SAMPLES='name name'] [ONLY='name name']
+#   make synthesis-report [MESHES=folder] [OUT=dir] [SAMPLES='name name'] [ONLY='name name'] [SIZE=80]
 #                    samples of every source on bunny, armadillo, spot (of MESHES, else a shape of our own) and a genus-3
 #                    shape: pictures, time, memory, figures of quality, the default way beside the paper's
 #   make diffusion-map [OUT=dir]
@@ -122,7 +122,7 @@ synthesis-report: programs
 	@out=$${OUT:-out/synthesis-report}; folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 	  tar -xzf $(meshes) -C "$$folder" data/meshes && \
 	  SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/synthesis_report.py -o "$$out" \
-	    $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(ONLY),--meshes $(ONLY)) -- $${MESHES:+"$$MESHES"} "$$folder/data/meshes"
+	    $(if $(SIZE),--size $(SIZE)) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(ONLY),--meshes $(ONLY)) -- $${MESHES:+"$$MESHES"} "$$folder/data/meshes"
 
 # Sphere, plate and bunny by albedo, thickness and source. SG_LONG=1: finer grids, less noise, six albedos by five thicknesses.
 diffusion-map: programs assets/meshes/bunny00.off

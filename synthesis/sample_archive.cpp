@@ -128,6 +128,8 @@ MaterialSample restore_sample(const VdbArchive& archive) {
 }
 
 MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& options) {
+  if (const auto kind = archive.metadata.find("kind"); kind != archive.metadata.end() && kind->second == "shell volume")
+    throw InputError(archive.path + ": is a shell volume, grown over an object; expected a block of material");
   Vec3i lower = Vec3i::Constant(std::numeric_limits<int>::max()), upper = -lower;
   const auto include = [&](int i, int j, int k, const auto&) {
     lower = lower.cwiseMin(Vec3i(i, j, k)), upper = upper.cwiseMax(Vec3i(i, j, k));

@@ -162,6 +162,13 @@ int main(int argc, char** argv) {
         coordinates == "nearest" ? ShellCoordinates::nearest : ShellCoordinates::interpolated, &s, run.progress());
     run.start_timer("core");
     const json core_results = make_core(core, shell, distance, samples, run.progress());
+    int layers = samples.front().size.z();
+    for (const MaterialSample& sample : samples) layers = std::min(layers, sample.size.z());
+    if (const double depth = layers * samples.front().voxel; depth < thickness * (1 - 1e-6))
+      run.progress().warn(
+          fmt::format("the shell is {:.4g} mm thick and the sample {:.4g} mm deep: below that its bottom "
+                      "layer goes on; make the sample deeper or the shell thinner",
+                      thickness, depth));
     if (shell.surface_ior.leaf_count() > 0)
       run.progress().warn(
           "the sample's surface has refractive indices of its own; the shell carries them (surface_ior), but light "

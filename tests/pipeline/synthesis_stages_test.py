@@ -374,6 +374,15 @@ class Chain(unittest.TestCase):
             self.assertIn("indices of its own", record(at("shell.vdb"))["warnings"][0])
             self.assertIn("surface_ior", run("describe", at("shell.vdb")).stdout)
 
+    def test_a_shell_deeper_than_its_sample_is_told_and_no_sample_itself(self):
+        with workplace() as folder:
+            out = os.path.join(folder, "shell.vdb")
+            done = run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o", out,
+                       "--thickness", 3.4)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("3 mm deep", record(out)["warnings"][0])
+            self.refused(run("sample", out, "-o", os.path.join(folder, "sample.vdb")), 3, "shell volume")
+
     def test_the_core_may_be_given(self):
         with workplace() as folder:
             out = os.path.join(folder, "shell.vdb")
