@@ -37,8 +37,8 @@ struct SynthesisOptions {
   Vec3 direction = Vec3(0, 1, 0);           // the texture's u runs this way where the surface allows
   std::vector<DirectionConstraint> orient;  // where it must run otherwise
   SurfacePaint paint;
-  double blend_width = 8;   // how far a sample may reach into another's area, texels
-  double blend_cost = 0.3;  // price of the farthest, in variances of the appearance
+  double blend_width = 4;   // how far a sample may reach into another's area, texels
+  double blend_cost = 1.0;  // price of the farthest, in variances of the appearance
   std::uint64_t seed = 0;
 };
 

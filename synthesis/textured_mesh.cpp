@@ -53,7 +53,6 @@ AttributedMesh attach_texture(const SurfaceTexture& texture, const TextonSet& te
   add("t", [&](int v) { return texture.coordinate[v].y() / layers[texture.sample[v]].height; });
   if (!texture.surface.scale.empty()) add("scale", [&](int v) { return texture.surface.scale[v]; });
   if (layers.sample_count > 1) add("sample", [&](int v) { return texture.sample[v]; });
-  if (!texture.surface.scale.empty()) add("scale", [&](int v) { return texture.surface.scale[v]; });
   add_colors(
       result,
       [&](int v) {

@@ -308,6 +308,13 @@ TEST(SurfaceSynthesis, SamplesKeepToTheirAreasAndMeetInTheBorder) {
   EXPECT_GT(crossed, 0);
   const SynthesisQuality quality = measure_synthesis(texture, textons);
   EXPECT_LT(quality.window_distance, quality.random / 2);
+  // Small areas keep their middles: a disc of 6 texels' radius.
+  const std::vector<std::int32_t> halves = options.paint.sample;
+  const Vec3 middle = mesh.vertex(0);
+  for (int v = 0; v < mesh.vertex_count(); ++v)
+    options.paint.sample[v] = (mesh.vertex(v) - middle).norm() < 6 * textons.voxel;
+  EXPECT_EQ(synthesize_surface(mesh, textons, options).sample[0], 1);
+  options.paint.sample = halves;
   // Without a border to blend in, the areas are the user's exactly.
   options.blend_width = 0;
   EXPECT_TRUE(synthesize_surface(mesh, textons, options).sample == options.paint.sample);
