@@ -50,6 +50,16 @@ Vec3 any_tangent(const Vec3& normal) {
   return normal.cross(Vec3::Unit(axis)).normalized();
 }
 
+double object_size(const TriangleMesh& mesh) {
+  return (mesh.vertices.colwise().maxCoeff() - mesh.vertices.colwise().minCoeff()).norm();
+}
+
+std::string number_text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
 std::string point_text(const Vec3& p) {
   char text[96];
   std::snprintf(text, sizeof text, "(%g, %g, %g)", p.x(), p.y(), p.z());
@@ -71,10 +81,35 @@ Vec3 nearest_turn(const Vec3& vector, const Vec3& from_normal, const Vec3& own, 
 struct FixedVector {
   std::int32_t vertex;
   Vec3 direction;  // unit, tangent
+  bool is_point;   // wanted at a point instead of a vertex
 };
 
+constexpr std::size_t most_spreading = 64;  // constraints that draw their surroundings; more stand close together
+constexpr double reach_share = 0.15;        // of the object's size: where one draws as much as the preferred direction
+constexpr double most_pull = 6;             // beside a vertex's six neighbours
+constexpr double farthest_share = 0.25;     // of the object's size: a point farther from the surface is none of it
+
+// What the constraints want of a vertex, by inverse squared distance, and how strongly: below `most_pull`.
+Vec3 pull_of(const TriangleMesh& mesh, const VertexMatrix& normals, const std::vector<FixedVector>& fixed, double reach,
+             const Vec3& own, std::int32_t v, int symmetry) {
+  Vec3 sum = Vec3::Zero();
+  double total = 0;
+  const Vec3 n = normals.row(v).transpose(), at = mesh.vertex(v);
+  for (const FixedVector& f : fixed) {
+    const Vec3 normal = normals.row(f.vertex).transpose();
+    const double facing = 0.5 * (1 + n.dot(normal));
+    const double distance = std::max((mesh.vertex(f.vertex) - at).squaredNorm(), 1e-12 * reach * reach);
+    const double weight = facing * facing * reach * reach / distance;
+    const Vec3 carried = carry_tangent(f.direction, normal, n);
+    sum += weight * nearest_turn(carried, n, own, symmetry);
+    total += weight;
+  }
+  const double length = sum.norm();
+  return length > 1e-9 ? Vec3(sum * (most_pull * total / (1 + total)) / std::max(length, 0.5 * total)) : Vec3::Zero();
+}
+
 std::vector<FixedVector> fix_vectors(const TriangleMesh& mesh, const VertexMatrix& normals,
-                                     const std::vector<DirectionConstraint>& constraints) {
+                                     const std::vector<DirectionConstraint>& constraints, int symmetry) {
   std::vector<FixedVector> fixed;
   for (const DirectionConstraint& constraint : constraints) {
     if (!constraint.point.allFinite() || !constraint.direction.allFinite() || !(constraint.direction.norm() > 0))
@@ -84,10 +119,19 @@ std::vector<FixedVector> fix_vectors(const TriangleMesh& mesh, const VertexMatri
     if (nearest < 0)
       (mesh.vertices.rowwise() - constraint.point.transpose()).rowwise().squaredNorm().minCoeff(&nearest);
     const Vec3 n = normals.row(nearest).transpose(), d = constraint.direction.normalized();
+    const double off = (mesh.vertex(static_cast<int>(nearest)) - constraint.point).norm();
+    if (constraint.vertex < 0 && off > farthest_share * object_size(mesh))
+      throw InputError("the direction wanted at " + point_text(constraint.point) + " is wanted " + number_text(off) +
+                       " mm away from the surface");
     if ((d - n * n.dot(d)).norm() < 0.05)
       throw InputError("the direction wanted at " + point_text(constraint.point) +
                        " stands across the surface there: it must run along it");
-    fixed.push_back({static_cast<std::int32_t>(nearest), tangent_unit(d, n, d)});
+    const FixedVector own{static_cast<std::int32_t>(nearest), tangent_unit(d, n, d), constraint.vertex < 0};
+    for (const FixedVector& other : fixed)
+      if (own.is_point && other.is_point && other.vertex == own.vertex &&
+          nearest_turn(own.direction, n, other.direction, symmetry).dot(other.direction) < -0.5)
+        throw InputError("two directions wanted at " + point_text(constraint.point) + " contradict each other");
+    fixed.push_back(own);
   }
   return fixed;
 }
@@ -100,8 +144,9 @@ VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& 
   if (symmetry != 1 && symmetry != 2 && symmetry != 4) throw InternalError("no direction field of that symmetry");
   if (!(preferred.norm() > 0) || !preferred.allFinite()) throw InputError("preferred direction must not be zero");
   VertexMatrix field(mesh.vertex_count(), 3);
-  const std::vector<FixedVector> fixed = fix_vectors(mesh, normals, constraints);
+  const std::vector<FixedVector> fixed = fix_vectors(mesh, normals, constraints, symmetry);
   const Vec3 axis = preferred.normalized();
+  const double reach = reach_share * object_size(mesh);
   parallel_for(mesh.vertex_count(), [&](std::size_t v) {
     const Vec3 n = normals.row(v).transpose();
     field.row(v) = tangent_unit(axis, n, any_tangent(n)).transpose();
@@ -140,6 +185,16 @@ VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& 
         field.row(level.vertices[i]) = wanted[i].transpose();
       }
     }
+    // Wishes at a few points draw what is about them: a point alone would bend a smooth field beside itself only.
+    const bool spreads = !fixed.empty() && fixed.size() <= most_spreading && fixed.front().is_point;
+    std::vector<Vec3> pull(spreads ? count : 0);
+    if (spreads)
+      parallel_for(count, [&](std::size_t i) {
+        const std::int32_t v = level.vertices[i];
+        const Vec3 own = field.row(v).transpose(), n = normals.row(v).transpose();
+        pull[i] = pull_of(mesh, normals, fixed, reach, own, v, symmetry);
+        if (pull[i].norm() > 0.5 * most_pull) field.row(v) = tangent_unit(pull[i], n, own).transpose();
+      });
     const int sweeps = l + 1 == static_cast<int>(hierarchy.levels.size()) ? 200 : 20;
     std::vector<Vec3> smoothed(count);
     for (int sweep = 0; sweep < sweeps; ++sweep) {
@@ -147,6 +202,7 @@ VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& 
         const std::int32_t v = level.vertices[i];
         const Vec3 own = field.row(v).transpose(), n = normals.row(v).transpose();
         Vec3 sum = own;  // its own share keeps the simultaneous update from oscillating
+        if (spreads) sum += nearest_turn(pull[i], n, own, symmetry);
         for (std::int32_t at = graph.offsets[i]; at < graph.offsets[i + 1]; ++at) {
           const std::int32_t w = level.vertices[graph.neighbours[at]];
           const Vec3 other = field.row(w).transpose();

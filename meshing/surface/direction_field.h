@@ -19,8 +19,10 @@ struct DirectionConstraint {
 // extrinsic energy of [Jakob2015] without rotational symmetry. `preferred` is the direction that the field starts from
 // (any length but 0). symmetry: 1, 2 or 4; turns by 360°/symmetry count as the same direction, so that each vector is
 // one of so many and neighbours' agree up to such turns [Jakob2015 §3]. Constrained vertices keep their vectors, on
-// coarse levels the mean of those in their region. The same at any thread count. Throws: InputError for a direction
-// that is zero, or stands across the surface at its point.
+// coarse levels the mean of those in their region; up to 64 of them, wanted at points, draw their surroundings too, as
+// strongly as the preferred direction at 0.15 of the object's size. The same at any thread count. Throws: InputError
+// for a direction that is zero, or stands across the surface at its point, contradicts another there, or is wanted
+// farther than a quarter of the object's size from it.
 VertexMatrix make_direction_field(const TriangleMesh& mesh, const VertexMatrix& normals,
                                   const VertexHierarchy& hierarchy, const Vec3& preferred,
                                   const std::vector<DirectionConstraint>& constraints = {}, int symmetry = 1);

@@ -84,6 +84,35 @@ TEST(DirectionField, TakesTheDirectionsWantedOfIt) {
 }
 
 // Alike after half or quarter turns: singularities are that much milder, and add up to as many times Euler's number.
+// A wish against the preferred direction turns what is about it, not its vertex alone.
+TEST(DirectionField, AWishTurnsItsSurroundings) {
+  const TriangleMesh ball = testing::sphere(10, 5);
+  const HalfEdges half_edges = build_half_edges(ball);
+  const VertexMatrix normals = vertex_normals(ball);
+  const VertexHierarchy hierarchy = build_vertex_hierarchy(ball, half_edges, normals, 0.4, 5, 3);
+  for (const Vec3& wish : {Vec3(0, -1, 0), Vec3(1, 0, 0)}) {
+    const Vec3 place(0, 0, 10);
+    const VertexMatrix field = make_direction_field(ball, normals, hierarchy, Vec3(0, 1, 0), {{place, wish}});
+    double near = 0;
+    int count = 0;
+    for (int v = 0; v < ball.vertex_count(); ++v) {
+      const double distance = (ball.vertex(v) - place).norm();
+      const Vec3 n = normals.row(v).transpose();
+      if (distance < 2.5) near += field.row(v).dot(wish - wish.dot(n) * n), ++count;
+    }
+    EXPECT_GT(near / count, 0.9) << wish.transpose();
+    const std::vector<int> indices = direction_field_indices(ball, normals, field);
+    EXPECT_EQ(std::accumulate(indices.begin(), indices.end(), 0), 2);
+    // The rest follows smoothly.
+    EXPECT_LE(std::count_if(indices.begin(), indices.end(), [](int i) { return i != 0; }), 4);
+  }
+  EXPECT_THROW(make_direction_field(ball, normals, hierarchy, Vec3(0, 1, 0), {{Vec3(0, 0, 1e9), Vec3(1, 0, 0)}}),
+               InputError);
+  EXPECT_THROW(make_direction_field(ball, normals, hierarchy, Vec3(0, 1, 0),
+                                    {{Vec3(0, 0, 10), Vec3(1, 0, 0)}, {Vec3(0, 0, 10), Vec3(-1, 0, 0)}}),
+               InputError);
+}
+
 TEST(DirectionField, SymmetricFieldsHaveFractionalSingularities) {
   const TriangleMesh mesh = testing::sphere(9, 5);
   const HalfEdges half_edges = build_half_edges(mesh);
