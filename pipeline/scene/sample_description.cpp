@@ -91,6 +91,10 @@ SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrid
   } else {
     const std::vector<int> size = root.integers("size", {extent.width, extent.height}, 4, 2048, "[n_x, n_y]");
     extent.width = size[0], extent.height = size[1];
+    const double layers = std::ceil(extent.thickness / extent.voxel - 1e-6);
+    if (size[0] * (size[1] * layers) > 1e8)
+      throw InputError(fmt::format("{}: {} x {} x {:.0f} voxels are too many for one sample; expected at most 1e8",
+                                   path, size[0], size[1], layers));
     extent.seed = static_cast<std::uint64_t>(root.integer("seed", 1, 0, 2000000000));
     if (overrides.seed) extent.seed = *overrides.seed;
     if (type == "meshes")

@@ -155,8 +155,11 @@ void judge_solution(const Polygrid& polygrid, const DiffusionOptions& options, c
   const double error = std::max(options.tolerance, result.solve.estimated_error) * std::sqrt(size);
   if (result.least_exitance < -error)
     progress.warn("the exitance is negative at " + std::to_string(result.negative_vertices) + " of " +
-                  std::to_string(result.exitance.size()) +
-                  " vertices (pictures show 0 there): the reduced albedo is below 0.53, or the grid too coarse");
+                  std::to_string(result.exitance.size()) + " vertices (pictures show 0 there): " +
+                  (result.dark > 0.001             ? "the reduced albedo is below 0.53 in places"
+                   : result.under_resolved > 0.001 ? "the grid is too coarse for the light's reach (method.nodes)"
+                                                   : "diffusion does not hold where the object, or a clear part of "
+                                                     "it, is few mean free paths thick"));
   double lost = 0;
   for (int c = 0; c < 3; ++c)
     if (result.surface_entering[c] > 0)

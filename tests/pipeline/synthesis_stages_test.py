@@ -258,6 +258,7 @@ class Chain(unittest.TestCase):
              "out of range"),
             (description(size=[32]), "size", "n_y"),
             (description(size=[2, 2]), "size", "4"),
+            (description(size=[2048, 2048], voxel=0.01, thickness=5), "2048 x 2048 x 500", "1e8"),
             (description(voxel="big"), "voxel", "number"),
             (description(voxel=0), "voxel", "out of range"),
             (description(thickness=1e4), "thickness", "voxels"),
