@@ -71,7 +71,8 @@ TEST(ErrorEstimate, IsHonestAndNotTooCareful) {
                 quantile(1));
     EXPECT_GE(quantile(0), 0.7);
     EXPECT_GE(quantile(0.1), 1.0);
-    EXPECT_LE(quantile(0.5), 3.0);
+    // In rough materials, a third of the cases, the first correction counts twice: there are shells where it must.
+    EXPECT_LE(quantile(0.5), 4.0);
     EXPECT_LE(quantile(0.9), 6.0);
   }
 }
