@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "meshing/core/error.h"
+#include "meshing/core/material_fields.h"
 #include "meshing/core/parallel.h"
 #include "meshing/shell/voxel_boundary.h"
 #include "meshing/surface/mean_value.h"
@@ -16,23 +17,7 @@
 namespace shellgrid {
 namespace {
 
-using Fields = Eigen::Array<double, 9, 1>;  // σ_a, σ_s, σ_s g of three channels
-
-Fields fields_of(const Material& m) {
-  Fields f;
-  f << m.absorption().max(0.0f).cast<double>(), m.scattering().cast<double>(),
-      (m.scattering() * m.anisotropy).cast<double>();
-  return f;
-}
-
-Material material_of(const Fields& f) {
-  const Rgb scattering = f.segment<3>(3).cast<float>();
-  const Rgb turned = f.segment<3>(6).cast<float>();
-  Material m = Material::from_absorption_scattering(f.segment<3>(0).cast<float>(), scattering,
-                                                    (scattering > 0).select(turned / scattering, Rgb::Zero()));
-  m.albedo = m.albedo.min(1.0f);
-  return m;
-}
+using Fields = MaterialFields;
 
 Material shell_material(const ShellVolume& shell, const Vec3i& v) {
   return {shell.extinction.value(v.x(), v.y(), v.z()).array(), shell.albedo.value(v.x(), v.y(), v.z()).array(),

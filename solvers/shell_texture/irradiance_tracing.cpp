@@ -74,18 +74,16 @@ class IrradianceTracer {
         if (meet_event_limit(path.events, path.next_limit, path.random) != LimitOutcome::goes_on) return;
         path.weight *= limit_weight;
       }
-      double distance = 0;
       Vec3 normal;
-      const Exit exit = way_to_exit(path.point, path.direction, path.in_matter);
-      const bool met = slab_.meet_surface(path.point, path.direction, exit.distance, path.in_matter, distance, normal);
-      const double end = met ? distance : exit.distance;
+      const Exit exit = next_event(path, normal);
+      const double end = exit.distance;
       if (!(end < infinite)) return;
       if (path.in_matter && fly(path, end, tally)) {
         if (!collide(path, tally)) return;
         continue;
       }
       path.point += end * path.direction;
-      if (met) {
+      if (exit.axis == surface) {
         meet(path, normal);
       } else if (exit.axis < 2) {
         wrap(path.point, path.direction, exit.axis);
@@ -102,11 +100,9 @@ class IrradianceTracer {
     start(path, direction, x, y);
     path.weight = Double4{1, 1, 1, 0};
     for (std::uint64_t events = 0; events < 100'000; ++events) {
-      double distance = 0;
       Vec3 normal;
-      const Exit exit = way_to_exit(path.point, path.direction, path.in_matter);
-      const bool met = slab_.meet_surface(path.point, path.direction, exit.distance, path.in_matter, distance, normal);
-      const double end = met ? distance : exit.distance;
+      const Exit exit = next_event(path, normal);
+      const double end = exit.distance;
       if (!(end < infinite)) return;
       if (path.in_matter)
         walk_voxels(path, end, [&](std::size_t voxel, double, double length) {
@@ -118,7 +114,7 @@ class IrradianceTracer {
         });
       if (lane_sum(path.weight) < 1e-7) return;
       path.point += end * path.direction;
-      if (met) {
+      if (exit.axis == surface) {
         const double cosine = std::min(1.0, std::abs(normal.dot(path.direction)));
         const double relative = path.in_matter ? 1 / slab_.ior() : slab_.ior();
         const BoundaryMeeting meeting = meet_boundary(cosine, relative);
@@ -136,9 +132,10 @@ class IrradianceTracer {
   }
 
  private:
+  static constexpr int surface = 3;
   struct Exit {
     double distance = infinite;
-    int axis = 2;
+    int axis = 2;  // of the side; or the mesostructure surface
   };
 
   void start(Path& path, int direction, double x, double y) const {
@@ -152,6 +149,15 @@ class IrradianceTracer {
     }
     const Vec3 to_light = options_.directions.direction(direction);
     path.direction = Vec3(-to_light.x(), -to_light.y(), to_light.z());
+  }
+
+  // Where a path gets to without a collision: the mesostructure surface with its normal, or an exit.
+  Exit next_event(const Path& path, Vec3& normal) const {
+    Exit exit = way_to_exit(path.point, path.direction, path.in_matter);
+    double distance = 0;
+    if (slab_.meet_surface(path.point, path.direction, exit.distance, path.in_matter, distance, normal))
+      exit = {distance, surface};
+    return exit;
   }
 
   // The tile's side, its bottom, or in free space its top.

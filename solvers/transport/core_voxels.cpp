@@ -8,29 +8,16 @@
 #include <vector>
 
 #include "meshing/core/error.h"
+#include "meshing/core/material_fields.h"
 #include "meshing/core/parallel.h"
 
 namespace shellgrid {
 namespace {
 
-using Fields = Eigen::Array<double, 9, 1>;  // σ_a, σ_s, σ_s g of three channels
+using Fields = MaterialFields;
 
 const std::array<Vec3i, 6> sides = {-Vec3i::UnitX(), Vec3i::UnitX(),  -Vec3i::UnitY(),
                                     Vec3i::UnitY(),  -Vec3i::UnitZ(), Vec3i::UnitZ()};
-
-Fields fields_of(const Material& m) {
-  Fields f;
-  f << m.absorption().max(0.0f).cast<double>(), m.scattering().cast<double>(),
-      (m.scattering() * m.anisotropy).cast<double>();
-  return f;
-}
-
-Material material_of(const Fields& f) {
-  const Rgb scattering = f.segment<3>(3).cast<float>();
-  const Rgb turned = f.segment<3>(6).cast<float>();
-  return Material::from_absorption_scattering(f.segment<3>(0).cast<float>(), scattering,
-                                              (scattering > 0).select(turned / scattering, Rgb::Zero()));
-}
 
 // A dense box of voxels or blocks about the shell.
 struct Box {
