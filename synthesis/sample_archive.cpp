@@ -9,21 +9,12 @@
 #include <limits>
 
 #include "meshing/core/error.h"
+#include "meshing/shell/filled_box.h"
 #include "synthesis/sample_builder.h"
 #include "synthesis/sample_check.h"
 
 namespace shellgrid {
 namespace {
-
-// A box of active samples [0, size) filled by value(x, y, z).
-template <class T, class Value>
-TwoLevelGrid<T> fill_grid(const Vec3i& size, const T& background, const Value& value) {
-  TwoLevelGrid<T> grid(Vec3i::Zero(), (size.array() + 7) / 8, background);
-  for (int x = 0; x < size.x(); ++x)
-    for (int y = 0; y < size.y(); ++y)
-      for (int z = 0; z < size.z(); ++z) grid.set(x, y, z, value(x, y, z));
-  return grid;
-}
 
 template <class T>
 bool has_grid(const VdbArchive& archive, const std::string& name) {
@@ -76,7 +67,7 @@ VdbArchive archive_sample(const MaterialSample& sample) {
   VdbArchive archive;
   archive.frame = {Vec3::Zero(), sample.voxel};
   const auto add = [&](const std::string& name, const std::vector<Vec3f>& values) {
-    archive.grids.push_back({name, fill_grid<Vec3f>(sample.size, Vec3f::Zero(), [&](int x, int y, int z) {
+    archive.grids.push_back({name, filled_box<Vec3f>(sample.size, Vec3f::Zero(), [&](int x, int y, int z) {
                                return values[sample.index(x, y, z)];
                              })});
   };
@@ -84,11 +75,11 @@ VdbArchive archive_sample(const MaterialSample& sample) {
   add("albedo", sample.albedo);
   add("anisotropy", sample.anisotropy);
   add("normal", sample.normal);
-  archive.grids.push_back({"kind", fill_grid<std::int32_t>(sample.size, 0, [&](int x, int y, int z) {
+  archive.grids.push_back({"kind", filled_box<std::int32_t>(sample.size, 0, [&](int x, int y, int z) {
                              return static_cast<std::int32_t>(sample.kind[sample.index(x, y, z)]);
                            })});
   if (!sample.surface_ior.empty())
-    archive.grids.push_back({"surface_ior", fill_grid<float>(sample.size, 0.0f, [&](int x, int y, int z) {
+    archive.grids.push_back({"surface_ior", filled_box<float>(sample.size, 0.0f, [&](int x, int y, int z) {
                                return sample.surface_ior[sample.index(x, y, z)];
                              })});
   archive.metadata["kind"] = "material sample";

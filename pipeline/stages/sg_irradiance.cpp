@@ -19,6 +19,7 @@ BaseVolume base_volume(const MaterialSample& sample) {
   volume.size = sample.size;
   volume.voxel = sample.voxel;
   volume.ior = sample.ior;
+  volume.surface_ior = sample.surface_ior;
   volume.extinction = sample.extinction;
   volume.albedo = sample.albedo;
   volume.anisotropy = sample.anisotropy;
@@ -55,9 +56,6 @@ int main(int argc, char** argv) {
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
     const MaterialSample sample = restore_sample(read_vdb(sample_path));
-    for (const float ior : sample.surface_ior)
-      if (ior > 0 && std::abs(static_cast<double>(ior) - sample.ior) > 1e-6)
-        throw InputError(sample_path + ": its surface has several refractive indices; expected one");
     options.most_paths = std::max(options.most_paths, options.paths);
     options.seed = run.seed();
     options.estimator = estimator == "sphere" ? IrradianceEstimator::sphere : IrradianceEstimator::track_length;

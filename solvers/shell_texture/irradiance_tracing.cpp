@@ -21,10 +21,14 @@ constexpr int batches_a_round = 8;
 constexpr double infinite = std::numeric_limits<double>::infinity();
 
 struct Tally {
-  std::vector<Vec3f> single, multiple;
+  std::vector<Vec3f> single, multiple, below;
   DirectionBalance balance;
 
-  explicit Tally(std::size_t voxels) : single(voxels, Vec3f::Zero()), multiple(voxels, Vec3f::Zero()) {}
+  Tally(std::size_t voxels, std::size_t texels)
+      : single(voxels, Vec3f::Zero()), multiple(voxels, Vec3f::Zero()), below(texels, Vec3f::Zero()) {}
+  void clear() {
+    for (auto* list : {&single, &multiple, &below}) std::fill(list->begin(), list->end(), Vec3f::Zero());
+  }
 };
 
 Vec3f to_vector(const Double4& v) {
@@ -61,7 +65,7 @@ class IrradianceTracer {
   void follow(int direction, std::uint64_t index, Tally& tally) const {
     Path path{PathRandom(options_.seed + 0x9e37u * static_cast<std::uint64_t>(direction + 1), index), Vec3::Zero(),
               Vec3::Zero()};
-    const double x = path.random.next() * slab_.width_x(), y = path.random.next() * slab_.width_y();
+    const double x = path.random.next() * slab_.width(0), y = path.random.next() * slab_.width(1);
     start(path, direction, x, y);
     if (direction == options_.directions.back()) {
       const double cosine = std::sqrt(1 - path.random.next()), sine = std::sqrt(std::max(0.0, 1 - cosine * cosine));
@@ -88,7 +92,9 @@ class IrradianceTracer {
       } else if (exit.axis < 2) {
         wrap(path.point, path.direction, exit.axis);
       } else {
-        (path.direction.z() > 0 ? tally.balance.left_below : tally.balance.left_above) += lane_sum(path.weight);
+        const bool below = path.direction.z() > 0;
+        (below ? tally.balance.left_below : tally.balance.left_above) += lane_sum(path.weight);
+        if (below) tally.below[texel_at(path.point)] += to_vector(path.weight);
         return;
       }
     }
@@ -116,7 +122,7 @@ class IrradianceTracer {
       path.point += end * path.direction;
       if (exit.axis == surface) {
         const double cosine = std::min(1.0, std::abs(normal.dot(path.direction)));
-        const double relative = path.in_matter ? 1 / slab_.ior() : slab_.ior();
+        const double relative = path.in_matter ? 1 / slab_.ior(path.point, normal) : slab_.ior(path.point, normal);
         const BoundaryMeeting meeting = meet_boundary(cosine, relative);
         if (meeting.reflectance >= 1) return;
         path.weight *= 1 - meeting.reflectance;
@@ -137,6 +143,12 @@ class IrradianceTracer {
     double distance = infinite;
     int axis = 2;  // of the side; or the mesostructure surface
   };
+
+  std::size_t texel_at(const Vec3& point) const {
+    const int i = std::clamp(static_cast<int>(point.x() / volume_.voxel), 0, volume_.size.x() - 1);
+    const int j = std::clamp(static_cast<int>(point.y() / volume_.voxel), 0, volume_.size.y() - 1);
+    return static_cast<std::size_t>(j) * volume_.size.x() + i;
+  }
 
   void start(Path& path, int direction, double x, double y) const {
     path.point = Vec3(x, y, slab_.top());
@@ -166,7 +178,7 @@ class IrradianceTracer {
     const auto consider = [&](double distance, int axis) {
       if (distance < exit.distance) exit = {std::max(0.0, distance), axis};
     };
-    const double width[2] = {slab_.width_x(), slab_.width_y()};
+    const double width[2] = {slab_.width(0), slab_.width(1)};
     for (int axis = 0; axis < 2; ++axis)
       if (direction[axis] != 0)
         consider(((direction[axis] > 0 ? width[axis] : 0) - point[axis]) / direction[axis], axis);
@@ -179,7 +191,7 @@ class IrradianceTracer {
   }
 
   void wrap(Vec3& point, const Vec3& direction, int axis) const {
-    point[axis] = direction[axis] > 0 ? 0 : axis == 0 ? slab_.width_x() : slab_.width_y();
+    point[axis] = direction[axis] > 0 ? 0 : axis == 0 ? slab_.width(0) : slab_.width(1);
   }
 
   // Calls visit(voxel, begin, length) for the voxels on the way until it says false.
@@ -276,7 +288,7 @@ class IrradianceTracer {
 
   void meet(Path& path, const Vec3& normal) const {
     const double cosine = std::min(1.0, std::abs(normal.dot(path.direction)));
-    const double relative = path.in_matter ? 1 / slab_.ior() : slab_.ior();
+    const double relative = path.in_matter ? 1 / slab_.ior(path.point, normal) : slab_.ior(path.point, normal);
     const Vec3 against = path.in_matter ? Vec3(-normal) : normal;
     const BoundaryMeeting meeting = meet_boundary(cosine, relative);
     if (path.random.next() < meeting.reflectance) {
@@ -337,12 +349,13 @@ ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions&
   texture.single.assign(directions * voxels, Vec3f::Zero());
   texture.multiple.assign((directions + 1) * voxels, Vec3f::Zero());
   texture.error.assign((directions + 1) * voxels, -1.0f);
+  texture.below.assign((directions + 1) * texture.texel_count(), Vec3f::Zero());
   texture.matter = slab.share();
   IrradianceReport own;
   own.balance.resize(directions + 1);
 
-  const double texels = static_cast<double>(volume.size.x()) * volume.size.y();
-  const double area = slab.width_x() * slab.width_y(), cell = std::pow(volume.voxel, 3);
+  const std::size_t texels = texture.texel_count();
+  const double area = slab.width(0) * slab.width(1), cell = std::pow(volume.voxel, 3);
   const bool sphere = options.estimator == IrradianceEstimator::sphere;
   // Of the fluence that a sum of ways is, for light of unit irradiance across its direction.
   const auto scale_of = [&](int direction, std::size_t voxel) {
@@ -356,12 +369,12 @@ ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions&
     parallel_for(
         static_cast<std::size_t>(directions),
         [&](std::size_t l) {
-          Tally tally(voxels);
+          Tally tally(voxels, texels);
           const double step = volume.voxel / options.march_rays;
           for (int j = 0; j < volume.size.y() * options.march_rays; ++j)
             for (int i = 0; i < volume.size.x() * options.march_rays; ++i)
               tracer.march(static_cast<int>(l), (i + 0.5) * step, (j + 0.5) * step, tally);
-          const double rays = texels * options.march_rays * options.march_rays;
+          const double rays = static_cast<double>(texels) * options.march_rays * options.march_rays;
           for (std::size_t v = 0; v < voxels; ++v)
             texture.single[texture.at(static_cast<int>(l), v)] =
                 static_cast<float>(scale_of(static_cast<int>(l), v) / rays) * tally.single[v];
@@ -375,8 +388,8 @@ ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions&
   std::vector<float> squares((directions + 1) * voxels, 0.0f);
   double batches = 0;
   const auto most_rounds = static_cast<int>(std::ceil(std::log2(options.most_paths / options.paths))) + 1;
-  const auto batch_paths =
-      static_cast<std::uint64_t>(std::max(1.0, std::ceil(options.paths * texels / batches_a_round)));
+  const auto batch_paths = static_cast<std::uint64_t>(
+      std::max(1.0, std::ceil(options.paths * static_cast<double>(texels) / batches_a_round)));
   for (int round = 0; round < most_rounds; ++round) {
     // Each round doubles what has been done.
     const int first = static_cast<int>(batches);
@@ -386,10 +399,9 @@ ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions&
         static_cast<std::size_t>(directions) + 1,
         [&](std::size_t l) {
           const int direction = static_cast<int>(l);
-          Tally tally(voxels);
+          Tally tally(voxels, texels);
           for (int batch = first; batch < first + count; ++batch) {
-            std::fill(tally.single.begin(), tally.single.end(), Vec3f::Zero());
-            std::fill(tally.multiple.begin(), tally.multiple.end(), Vec3f::Zero());
+            tally.clear();
             for (std::uint64_t k = 0; k < batch_paths; ++k)
               tracer.follow(direction, static_cast<std::uint64_t>(batch) * batch_paths + k, tally);
             for (std::size_t v = 0; v < voxels; ++v) {
@@ -401,6 +413,10 @@ ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions&
               squares[texture.at(direction, v)] += mean * mean;
               if (sphere && direction < directions) texture.single[texture.at(direction, v)] += scale * tally.single[v];
             }
+            const double through = direction == directions ? 1 : options.directions.direction(direction).z();
+            const auto scale =
+                static_cast<float>(3 * through * static_cast<double>(texels) / static_cast<double>(batch_paths));
+            for (std::size_t k = 0; k < texels; ++k) texture.below[l * texels + k] += scale * tally.below[k];
           }
           DirectionBalance& balance = own.balance[l];
           balance.absorbed += tally.balance.absorbed;
@@ -429,6 +445,7 @@ ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions&
     if (!(options.target_error > 0) || own.median_error <= options.target_error) break;
   }
   for (Vec3f& value : texture.multiple) value /= static_cast<float>(batches);
+  for (Vec3f& value : texture.below) value /= static_cast<float>(batches);
   if (sphere)
     for (Vec3f& value : texture.single) value /= static_cast<float>(batches);
   own.paths = batches * static_cast<double>(batch_paths);

@@ -24,6 +24,11 @@ void check(const BaseVolume& v) {
     throw InputError("base volume: its arrays do not have its size");
   if (!(v.voxel > 0) || !std::isfinite(v.voxel)) throw InputError("base volume: its voxels must have a size above 0");
   if (!(v.ior >= 1) || !std::isfinite(v.ior)) throw InputError("base volume: the refractive index must be at least 1");
+  if (!v.surface_ior.empty() && v.surface_ior.size() != n)
+    throw InputError("base volume: its arrays do not have its size");
+  for (const float ior : v.surface_ior)
+    if (ior != 0 && !(ior >= 1 && std::isfinite(ior)))
+      throw InputError("base volume: the refractive indices of the surface must be at least 1");
   bool any = false;
   for (std::size_t k = 0; k < n; ++k) {
     if (v.free[k]) continue;
@@ -38,6 +43,34 @@ void check(const BaseVolume& v) {
 
 int wrapped(int i, int n) { return ((i % n) + n) % n; }
 
+// Of each voxel the nearest one of those told, by steps to neighbours; −1 where there are none.
+std::vector<std::int32_t> nearest_of(const BaseVolume& volume, const std::vector<char>& told) {
+  const Vec3i& size = volume.size;
+  std::vector<std::int32_t> from(told.size(), -1);
+  std::queue<std::int32_t> front;
+  for (std::size_t k = 0; k < told.size(); ++k)
+    if (told[k]) {
+      from[k] = static_cast<std::int32_t>(k);
+      front.push(static_cast<std::int32_t>(k));
+    }
+  while (!front.empty()) {
+    const std::int32_t k = front.front();
+    front.pop();
+    const int x = k % size.x(), y = k / size.x() % size.y(), z = k / (size.x() * size.y());
+    for (int axis = 0; axis < 3; ++axis)
+      for (int step = -1; step <= 1; step += 2) {
+        Vec3i at(x, y, z);
+        at[axis] += step;
+        if (at.z() < 0 || at.z() >= size.z()) continue;
+        const std::size_t other = volume.index(wrapped(at.x(), size.x()), wrapped(at.y(), size.y()), at.z());
+        if (from[other] >= 0) continue;
+        from[other] = from[k];
+        front.push(static_cast<std::int32_t>(other));
+      }
+  }
+  return from;
+}
+
 }  // namespace
 
 PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel_(volume.voxel), ior_(volume.ior) {
@@ -49,33 +82,18 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
   matter_.resize(n);
   // Free voxels take the matter of the nearest one that has some, by steps to neighbours: the surface cuts through
   // them.
-  std::vector<std::int32_t> from(n, -1);
-  std::queue<std::int32_t> front;
-  for (std::size_t k = 0; k < n; ++k)
-    if (!volume.free[k]) {
-      from[k] = static_cast<std::int32_t>(k);
-      front.push(static_cast<std::int32_t>(k));
-    } else {
-      flat_ = false;
-    }
-  while (!front.empty()) {
-    const std::int32_t k = front.front();
-    front.pop();
-    const int x = k % size_.x(), y = k / size_.x() % size_.y(), z = k / (size_.x() * size_.y());
-    for (int axis = 0; axis < 3; ++axis)
-      for (int step = -1; step <= 1; step += 2) {
-        Vec3i at(x, y, z);
-        at[axis] += step;
-        if (at.z() < 0 || at.z() >= size_.z()) continue;
-        const std::size_t other = volume.index(wrapped(at.x(), size_.x()), wrapped(at.y(), size_.y()), at.z());
-        if (from[other] >= 0) continue;
-        from[other] = from[k];
-        front.push(static_cast<std::int32_t>(other));
-      }
+  std::vector<char> has_matter(n);
+  for (std::size_t k = 0; k < n; ++k) {
+    has_matter[k] = volume.free[k] == 0;
+    if (volume.free[k]) flat_ = false;
   }
+  const std::vector<std::int32_t> from = nearest_of(volume, has_matter);
   for (std::size_t k = 0; k < n; ++k)
     matter_[k] = {lanes(volume.extinction[from[k]]), lanes(volume.albedo[from[k]]), lanes(volume.anisotropy[from[k]])};
 
+  const std::size_t texels = static_cast<std::size_t>(size_.x()) * size_.y();
+  for (std::size_t k = n - texels; k < n; ++k) bottom_free_.push_back(volume.free[k] != 0);
+  spread_indices(volume);
   if (flat_) {
     share_.assign(n, 1.0f);
     return;
@@ -98,6 +116,35 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
   top_ = -voxel_;
   weigh_voxels();
 }
+
+void PeriodicSlab::spread_indices(const BaseVolume& volume) {
+  std::vector<char> told(volume.surface_ior.size());
+  bool several = false;
+  for (std::size_t k = 0; k < told.size(); ++k) {
+    told[k] = volume.surface_ior[k] > 0;
+    several = several || (told[k] && std::abs(static_cast<double>(volume.surface_ior[k]) - ior_) > 1e-6);
+  }
+  if (!several) return;
+  const std::vector<std::int32_t> from = nearest_of(volume, told);
+  for (const std::int32_t k : from) iors_.push_back(volume.surface_ior[static_cast<std::size_t>(k)]);
+}
+
+double PeriodicSlab::ior(const Vec3& point, const Vec3& normal) const {
+  if (iors_.empty()) return ior_;
+  const Vec3 inside = (point - 0.5 * voxel_ * normal) / voxel_;
+  const int x = wrapped(static_cast<int>(std::floor(inside.x())), size_.x());
+  const int y = wrapped(static_cast<int>(std::floor(inside.y())), size_.y());
+  const int z = std::clamp(static_cast<int>(std::floor(inside.z())), 0, size_.z() - 1);
+  return static_cast<double>(iors_[(static_cast<std::size_t>(z) * size_.y() + y) * size_.x() + x]);
+}
+
+std::size_t PeriodicSlab::texel_at(const Vec3& point) const {
+  const int x = std::clamp(static_cast<int>(point.x() / voxel_), 0, size_.x() - 1);
+  const int y = std::clamp(static_cast<int>(point.y() / voxel_), 0, size_.y() - 1);
+  return static_cast<std::size_t>(y) * size_.x() + x;
+}
+
+bool PeriodicSlab::is_matter_at_bottom(double x, double y) const { return !bottom_free_[texel_at(Vec3(x, y, 0))]; }
 
 bool PeriodicSlab::meet_surface(const Vec3& point, const Vec3& direction, double limit, bool in_matter,
                                 double& distance, Vec3& normal) const {

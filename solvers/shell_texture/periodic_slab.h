@@ -20,11 +20,13 @@ class PeriodicSlab {
   // Throws: InputError where arrays do not fit the size, coefficients are none, or all voxels are free space.
   explicit PeriodicSlab(const BaseVolume& volume);
 
-  double width_x() const { return width_[0]; }
-  double width_y() const { return width_[1]; }
+  double width(int axis) const { return width_[axis]; }  // along x, y
   double depth() const { return depth_; }
   double voxel() const { return voxel_; }
-  double ior() const { return ior_; }
+  // Refractive index of the matter below a point of its surface, over that of free space.
+  double ior(const Vec3& point, const Vec3& normal) const;
+  bool is_matter_at_bottom(double x, double y) const;
+  std::size_t texel_at(const Vec3& point) const;  // of the bottom
   const Vec3i& size() const { return size_; }
   // Above this height (z, negative upwards: depth) there is no matter.
   double top() const { return top_; }
@@ -39,6 +41,7 @@ class PeriodicSlab {
 
  private:
   void weigh_voxels();
+  void spread_indices(const BaseVolume& volume);
 
   Vec3i size_ = Vec3i::Zero();
   double voxel_ = 1, ior_ = 1, depth_ = 0, top_ = 0;
@@ -47,6 +50,8 @@ class PeriodicSlab {
   double lowest_surface_ = 0;  // below it there is matter everywhere
   std::vector<Matter> matter_;
   std::vector<float> share_;
+  std::vector<float> iors_;        // per voxel, that of the surface nearest by; none where all is ior_
+  std::vector<char> bottom_free_;  // per texel
   std::unique_ptr<TransportSurface> surface_;
 };
 

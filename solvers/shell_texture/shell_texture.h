@@ -35,8 +35,12 @@ struct ShellTexture {
   std::vector<Vec3f> multiple;  // voxels × (directions + 1)
   std::vector<float> error;     // as `multiple`: relative standard error of its mean over the channels; −1 unknown
   std::vector<float> matter;    // per voxel: share of it that is matter
+  // Texels × (directions + 1): irradiance that passes down through the bottom, for unit irradiance across the
+  // direction; from below for unit irradiance on the bottom, what comes back. At direction · texels + texel.
+  std::vector<Vec3f> below;
 
   std::size_t voxel_count() const { return matter.size(); }
+  std::size_t texel_count() const { return static_cast<std::size_t>(size.x()) * size.y(); }
   std::size_t at(int direction, std::size_t voxel_index) const { return direction * voxel_count() + voxel_index; }
 };
 

@@ -7,21 +7,12 @@
 #include <cmath>
 
 #include "meshing/core/error.h"
+#include "meshing/shell/filled_box.h"
 
 namespace shellgrid {
 namespace {
 
 constexpr const char* kind = "shell texture function";
-
-template <class T, class Value>
-TwoLevelGrid<T> fill_grid(const Vec3i& size, const T& background, const Value& value) {
-  TwoLevelGrid<T> grid(Vec3i::Zero(), (size.array() + 7) / 8, background);
-  std::size_t index = 0;
-  for (int z = 0; z < size.z(); ++z)
-    for (int y = 0; y < size.y(); ++y)
-      for (int x = 0; x < size.x(); ++x) grid.set(x, y, z, value(index++));
-  return grid;
-}
 
 std::string name_of(const char* part, int direction, int count) {
   return direction == count ? fmt::format("{}_back", part) : fmt::format("{}_{:02d}", part, direction);
@@ -55,16 +46,28 @@ VdbArchive archive_shell_texture(const ShellTexture& t) {
   VdbArchive archive;
   archive.frame = {Vec3::Constant(0.5 * t.voxel), t.voxel};
   const int count = t.directions.count();
+  const auto voxel_at = [&](int x, int y, int z) {
+    return (static_cast<std::size_t>(z) * t.size.y() + y) * t.size.x() + x;
+  };
   const auto add = [&](const char* part, const std::vector<Vec3f>& values, int l) {
-    archive.grids.push_back({name_of(part, l, count), fill_grid<Vec3f>(t.size, Vec3f::Zero(), [&](std::size_t v) {
-                               return values[t.at(l, v)];
-                             })});
+    archive.grids.push_back(
+        {name_of(part, l, count), filled_box<Vec3f>(t.size, Vec3f::Zero(), [&](int x, int y, int z) {
+           return values[t.at(l, voxel_at(x, y, z))];
+         })});
   };
   for (int l = 0; l < count; ++l) add("single", t.single, l);
   for (int l = 0; l <= count; ++l) add("multiple", t.multiple, l);
   const std::vector<float> errors = mean_errors(t);
-  archive.grids.push_back({"error", fill_grid<float>(t.size, -1.0f, [&](std::size_t v) { return errors[v]; })});
-  archive.grids.push_back({"matter", fill_grid<float>(t.size, 0.0f, [&](std::size_t v) { return t.matter[v]; })});
+  const auto add_numbers = [&](const char* name, const std::vector<float>& values, float background) {
+    archive.grids.push_back(
+        {name, filled_box<float>(t.size, background, [&](int x, int y, int z) { return values[voxel_at(x, y, z)]; })});
+  };
+  add_numbers("error", errors, -1.0f);
+  add_numbers("matter", t.matter, 0.0f);
+  archive.grids.push_back(
+      {"below", filled_box<Vec3f>({t.size.x(), t.size.y(), count + 1}, Vec3f::Zero(), [&](int x, int y, int l) {
+         return t.below[l * t.texel_count() + voxel_at(x, y, 0)];
+       })});
   archive.metadata["kind"] = kind;
   archive.set_numbers(
       "size", {static_cast<double>(t.size.x()), static_cast<double>(t.size.y()), static_cast<double>(t.size.z())});
@@ -88,9 +91,9 @@ ShellTexture restore_shell_texture(const VdbArchive& archive) {
   const int count = t.directions.count();
   const std::size_t voxels = static_cast<std::size_t>(t.size.x()) * t.size.y() * t.size.z();
   if (static_cast<double>(voxels) * (count + 1) > 1e9) throw InputError(archive.path + ": too large");
-  const auto read = [&](const auto& grid, const auto& put) {
+  const auto read = [&](const auto& grid, const auto& put, int layers = 0) {
     std::size_t index = 0;
-    for (int z = 0; z < t.size.z(); ++z)
+    for (int z = 0; z < (layers > 0 ? layers : t.size.z()); ++z)
       for (int y = 0; y < t.size.y(); ++y)
         for (int x = 0; x < t.size.x(); ++x) {
           if (!grid.is_active(x, y, z)) throw InputError(archive.path + ": a grid does not fill its size");
@@ -105,14 +108,19 @@ ShellTexture restore_shell_texture(const VdbArchive& archive) {
   read(archive.get<float>("error"), [&](std::size_t v, float value) {
     for (int l = 0; l <= count; ++l) t.error[t.at(l, v)] = value;
   });
-  const auto colours = [&](const char* part, int l, std::vector<Vec3f>& to) {
-    read(archive.get<Vec3f>(name_of(part, l, count)), [&](std::size_t v, const Vec3f& value) {
-      if (!value.allFinite() || (value.array() < 0).any())
-        throw InputError(
-            fmt::format("{}: a value of {} is negative or not finite", archive.path, name_of(part, l, count)));
-      to[t.at(l, v)] = value;
-    });
+  const auto checked = [&](const std::string& name, const Vec3f& value) {
+    if (!value.allFinite() || (value.array() < 0).any())
+      throw InputError(fmt::format("{}: a value of {} is negative or not finite", archive.path, name));
+    return value;
   };
+  const auto colours = [&](const char* part, int l, std::vector<Vec3f>& to) {
+    const std::string name = name_of(part, l, count);
+    read(archive.get<Vec3f>(name), [&](std::size_t v, const Vec3f& value) { to[t.at(l, v)] = checked(name, value); });
+  };
+  t.below.resize(t.texel_count() * (count + 1));
+  read(
+      archive.get<Vec3f>("below"), [&](std::size_t k, const Vec3f& value) { t.below[k] = checked("below", value); },
+      count + 1);
   for (int l = 0; l < count; ++l) colours("single", l, t.single);
   for (int l = 0; l <= count; ++l) colours("multiple", l, t.multiple);
   return t;

@@ -8,8 +8,8 @@
 namespace shellgrid {
 
 // Grids `single_LL` of each direction, `multiple_LL` of each direction, `multiple_back`, `error` (relative standard
-// error of I_m, root mean square over the directions; −1 where nothing is known) and `matter`; metadata `size voxel
-// rings turns`. Without loss but for the errors of the single directions.
+// error of I_m, root mean square over the directions; −1 where nothing is known), `matter` and `below` (its layers are
+// the directions); metadata `size voxel rings turns`. Without loss but for the errors of the single directions.
 VdbArchive archive_shell_texture(const ShellTexture& texture);
 // Throws: InputError where the archive is not what archive_shell_texture wrote.
 ShellTexture restore_shell_texture(const VdbArchive& archive);

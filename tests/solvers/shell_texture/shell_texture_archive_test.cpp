@@ -23,6 +23,7 @@ ShellTexture noise() {
     t.multiple.emplace_back(value(3 * k), 1, value(k));
     t.error.push_back(k % 5 == 0 ? -1.0f : value(k));
   }
+  for (std::size_t k = 0; k < 7 * 45; ++k) t.below.emplace_back(value(k), value(5 * k), value(7 * k));
   for (std::size_t k = 0; k < voxels; ++k) t.matter.push_back(k < 4 ? 0.0f : value(k));
   return t;
 }
@@ -36,6 +37,7 @@ TEST(ShellTextureArchive, ComesBackAsItWas) {
   EXPECT_EQ(back.directions.turns, 3);
   EXPECT_TRUE(back.single == t.single);
   EXPECT_TRUE(back.multiple == t.multiple);
+  EXPECT_TRUE(back.below == t.below);
   EXPECT_EQ(back.matter, t.matter);
   // The root mean square over the directions that are known.
   double sum = 0;
