@@ -31,7 +31,7 @@ export SCENE OUT MESHES
 
 .DEFAULT_GOAL := image.png
 ARTEFACTS := all views report image.png image.exr exitance.ply reference.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
-  synthesized.ply textons.vdb sample.vdb distance.vdb surface.ply \
+  synthesized.ply textons.vdb sample.vdb core-sample.vdb $(foreach n,2 3 4 5 6 7 8,sample-$(n).vdb) distance.vdb surface.ply \
   polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
 .PHONY: setup configure build programs test demo bench geometry-report synthesis-report diffusion-map docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
@@ -59,10 +59,17 @@ assets/meshes/%.off: | setup
 	@tar -xzOf $(meshes) data/meshes/$*.off > $@.partial
 	@mv $@.partial $@
 
+# The paint of assets/scenes/painted-bunny.json.
+painted := assets/meshes/painted-bunny.ply
+$(painted): assets/meshes/bunny00.off assets/scenes/paint.py
+	@/usr/bin/python3 -B assets/scenes/paint.py $< $@.partial \
+	  'sample = y < 0.1 + 0.2 * sin(5 * x + 2 * z)' 'scale = 1.1 - 0.4 * y' && mv $@.partial $@
+own_paint = $(if $(findstring painted-bunny,$(value SCENE)),$(painted))
+
 # The artefacts of SCENE lie in OUT, or out/NAME for a scene NAME.json.
 find_out = name=$${SCENE\#\#*/}; out=$${OUT:-out/$${name%.*}}
 
-$(ARTEFACTS): programs assets/meshes/bunny00.off
+$(ARTEFACTS): programs assets/meshes/bunny00.off $(own_paint)
 	@$(find_out); $(BUILD)/bin/sg-plan -q -o "$$out" -- "$$SCENE" && \
 	  $(MAKE) --no-print-directory -C "$$out" $@ FLAGS='$(FLAGS)'
 

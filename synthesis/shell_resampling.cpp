@@ -15,6 +15,19 @@ namespace {
 
 using Mask = TwoLevelGrid<float>::Mask;
 
+// The field names mesh vertices by their indices: each must lie within an edge of the nearest point that it stands for.
+void require_field_of_mesh(const TriangleMesh& mesh, const DistanceField& distance) {
+  double longest = 0;
+  for (int f = 0; f < mesh.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) longest = std::max(longest, (mesh.corner(f, k) - mesh.corner(f, (k + 1) % 3)).norm());
+  bool fits = true;
+  distance.nearest_vertex.for_each_active([&](int i, int j, int k, std::int32_t v) {
+    const Vec3 nearest = distance.nearest_point.value(i, j, k).cast<double>();
+    fits = fits && v >= 0 && v < mesh.vertex_count() && (mesh.vertex(v) - nearest).norm() <= 1.01 * longest;
+  });
+  if (!fits) throw InputError("the distance field is of another mesh; make both from one surface.ply");
+}
+
 void check_inputs(const TexturedMesh& mesh, const DistanceField& distance,
                   const std::vector<const MaterialSample*>& samples, double thickness) {
   if (samples.empty()) throw InternalError("a sample expected");
@@ -54,6 +67,7 @@ void check_inputs(const TexturedMesh& mesh, const DistanceField& distance,
                     distance.inside_band, thickness, thickness + 2 * sample.voxel));
   if (static_cast<int>(mesh.coordinate.size()) != mesh.mesh.vertex_count())
     throw InternalError("one texture coordinate a vertex expected");
+  require_field_of_mesh(mesh.mesh, distance);
 }
 
 float wrap(float t, int n) {

@@ -22,16 +22,6 @@ struct Bounds {
   Vec3 middle() const { return (lower + upper) / 2; }
 };
 
-// Length of what is common over length of all, the least of the three axes.
-double common_share(const Bounds& a, const Bounds& b) {
-  const Vec3 common = (a.upper.cwiseMin(b.upper) - a.lower.cwiseMax(b.lower)).cwiseMax(0.0);
-  const Vec3 all = a.upper.cwiseMax(b.upper) - a.lower.cwiseMin(b.lower);
-  double share = 1;
-  for (int axis = 0; axis < 3; ++axis)
-    if (all[axis] > 0) share *= common[axis] / all[axis];
-  return share;
-}
-
 const std::vector<float>* finite(const AttributedMesh& mesh, const std::string& key, const std::string& name) {
   const std::vector<float>* values = mesh.find(key);
   if (!values) return nullptr;
@@ -41,68 +31,125 @@ const std::vector<float>* finite(const AttributedMesh& mesh, const std::string& 
   return values;
 }
 
+// The vertex properties of a painted mesh that count, each checked; null where there is none.
+struct PaintedValues {
+  const std::vector<float>*direction[3] = {}, *scale = nullptr, *sample = nullptr;
+  double per_unit = 1;  // samples for each unit of `sample`
+
+  PaintedValues(const AttributedMesh& painted, int sample_count, const std::string& name) {
+    const auto fail = [&](const std::string& what) { throw InputError(name + ": " + what); };
+    if (painted.mesh.face_count() == 0) fail("a painted mesh needs faces");
+    static const char* const directions[3] = {"direction_x", "direction_y", "direction_z"};
+    for (int k = 0; k < 3; ++k) direction[k] = finite(painted, directions[k], name);
+    for (int k = 0; k < 3; ++k)
+      if (!direction[k] && (direction[0] || direction[1] || direction[2]))
+        fail(fmt::format("the vertices have no '{}'; a direction is three numbers", directions[k]));
+    scale = finite(painted, "scale", name);
+    sample = finite(painted, "sample", name);
+    if (sample_count > 1)
+      for (const char* key : {"quality", "red"})
+        if (!sample) {
+          sample = finite(painted, key, name);
+          if (sample && std::string(key) == "red") per_unit = sample_count / 256.0;
+        }
+    if (sample_count > 1 && !sample)
+      fail(
+          fmt::format("the vertices have none of 'sample', 'quality' and 'red'; one must say which of the {} samples "
+                      "they take",
+                      sample_count));
+    if (!direction[0] && !scale && !sample)
+      fail(
+          "nothing is painted: expected vertex properties 'direction_x direction_y direction_z', 'scale' or, for "
+          "several samples, 'sample'");
+    for (int v = 0; sample && v < painted.mesh.vertex_count(); ++v)
+      if (sample_of(v) < 0 || sample_of(v) >= sample_count)
+        fail(sample_count == 1 ? fmt::format("vertex {} wants sample {}, but there is one, numbered 0", v, (*sample)[v])
+                               : fmt::format("vertex {} wants sample {}, but there are {}, counted from 0", v,
+                                             (*sample)[v], sample_count));
+    for (int v = 0; scale && v < painted.mesh.vertex_count(); ++v)
+      if (!((*scale)[v] >= 0.25f && (*scale)[v] <= 4))
+        fail(fmt::format("the scale {} of vertex {} is out of range; expected 0.25 to 4", (*scale)[v], v));
+    if (sample_count == 1) sample = nullptr;
+  }
+
+  long sample_of(int vertex) const {
+    const double value = (*sample)[vertex];
+    return per_unit == 1 ? std::lround(std::clamp(value, -1e6, 1e6))
+                         : std::lround(std::floor(std::clamp(value * per_unit, -1e6, 1e6)));
+  }
+};
+
+// From the surface's frame to the painted mesh's.
+struct Placement {
+  Vec3 from_middle = Vec3::Zero(), to_middle = Vec3::Zero();
+  double ratio = 1;
+
+  Vec3 operator()(const Vec3& own) const { return to_middle + ratio * (own - from_middle); }
+};
+
+double quantile(std::vector<double> values, double share) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+// Mean distance of about a thousand of the surface's vertices, in the surface's lengths.
+double mean_distance(const ClosestPointQuery& query, const TriangleMesh& surface, const Placement& placement) {
+  const int step = std::max(1, surface.vertex_count() / 1000);
+  double sum = 0;
+  int count = 0;
+  for (int v = 0; v < surface.vertex_count(); v += step, ++count)
+    sum += std::sqrt(query.nearest(placement(surface.vertex(v))).squared_distance) / placement.ratio;
+  return sum / std::max(1, count);
+}
+
 }  // namespace
 
-SurfacePaint transfer_paint(const AttributedMesh& painted, const TriangleMesh& surface, int sample_count,
-                            const std::string& name) {
-  SurfacePaint paint;
-  if (painted.mesh.face_count() == 0) throw InputError(name + ": a painted mesh needs faces");
-  const std::vector<float>* direction[3] = {finite(painted, "direction_x", name), finite(painted, "direction_y", name),
-                                            finite(painted, "direction_z", name)};
-  const bool directed = direction[0] && direction[1] && direction[2];
-  const std::vector<float>* scale = finite(painted, "scale", name);
-  const std::vector<float>* sample = nullptr;
-  double per_unit = 1;
-  if (sample_count > 1) {
-    for (const char* key : {"sample", "quality", "red"})
-      if (!sample) {
-        sample = finite(painted, key, name);
-        if (sample && std::string(key) == "red") per_unit = sample_count / 256.0;
-      }
-    if (!sample)
-      throw InputError(fmt::format(
-          "{}: the vertices have none of 'sample', 'quality' and 'red'; one must say which of the {} samples they take",
-          name, sample_count));
-  }
-  if (!directed && !scale && !sample)
-    throw InputError(name +
-                     ": nothing is painted: expected vertex properties 'direction_x direction_y direction_z', "
-                     "'scale' or, for several samples, 'sample'");
-  const auto sample_of = [&](int v) {
-    const double value = (*sample)[v];
-    return per_unit == 1 ? std::lround(std::clamp(value, -1e6, 1e6)) : std::lround(std::floor(value * per_unit));
-  };
-  for (int v = 0; sample && v < painted.mesh.vertex_count(); ++v)
-    if (sample_of(v) < 0 || sample_of(v) >= sample_count)
-      throw InputError(fmt::format("{}: vertex {} wants sample {}, but there are {}, counted from 0", name, v,
-                                   (*sample)[v], sample_count));
-  for (int v = 0; scale && v < painted.mesh.vertex_count(); ++v)
-    if (!((*scale)[v] >= 0.25f && (*scale)[v] <= 4))
-      throw InputError(
-          fmt::format("{}: the scale {} of vertex {} is out of range; expected 0.25 to 4", name, (*scale)[v], v));
+void require_paint(const AttributedMesh& painted, int sample_count, const std::string& name) {
+  const PaintedValues values(painted, sample_count, name);
+}
 
-  const Bounds from(painted.mesh), to(surface);
-  const bool fitted = common_share(from, to) < 0.5;
-  const double ratio = fitted ? from.size().maxCoeff() / std::max(to.size().maxCoeff(), 1e-300) : 1.0;
+SurfacePaint transfer_paint(const AttributedMesh& painted, const TriangleMesh& surface, int sample_count,
+                            const std::string& name, PaintFit* fit) {
+  const PaintedValues values(painted, sample_count, name);
+  if (surface.vertex_count() == 0) throw InputError("a mesh without vertices cannot be painted");
+  SurfacePaint paint;
   const ClosestPointQuery query(painted.mesh);
+  const Bounds from(painted.mesh), to(surface);
+  const double size = to.size().maxCoeff();
+  Placement placement;
+  const Placement fitted{to.middle(), from.middle(), from.size().maxCoeff() / std::max(size, 1e-300)};
+  const bool moved = fitted.ratio > 0 && std::isfinite(fitted.ratio) &&
+                     mean_distance(query, surface, fitted) < 0.5 * mean_distance(query, surface, placement);
+  if (moved) placement = fitted;
+
+  const bool directed = values.direction[0] != nullptr;
   const std::size_t n = surface.vertex_count();
   if (directed) paint.direction.resize(n);
-  if (scale) paint.scale.resize(n);
-  if (sample) paint.sample.resize(n);
+  if (values.scale) paint.scale.resize(n);
+  if (values.sample) paint.sample.resize(n);
+  std::vector<double> distance(n);
   parallel_for(n, [&](std::size_t v) {
-    const Vec3 own = surface.vertex(static_cast<int>(v));
-    const SurfacePoint at = query.nearest(fitted ? Vec3(from.middle() + ratio * (own - to.middle())) : own);
-    const auto mean = [&](const std::vector<float>& values) {
+    const SurfacePoint at = query.nearest(placement(surface.vertex(static_cast<int>(v))));
+    distance[v] = std::sqrt(at.squared_distance) / placement.ratio;
+    const auto mean = [&](const std::vector<float>& of) {
       double sum = 0;
-      for (int k = 0; k < 3; ++k) sum += at.barycentric[k] * values[painted.mesh.faces(at.face_index, k)];
+      for (int k = 0; k < 3; ++k) sum += at.barycentric[k] * of[painted.mesh.faces(at.face_index, k)];
       return static_cast<float>(sum);
     };
-    if (directed) paint.direction[v] = Vec3f(mean(*direction[0]), mean(*direction[1]), mean(*direction[2]));
-    if (scale) paint.scale[v] = mean(*scale);
+    if (directed)
+      paint.direction[v] = Vec3f(mean(*values.direction[0]), mean(*values.direction[1]), mean(*values.direction[2]));
+    if (values.scale) paint.scale[v] = mean(*values.scale);
     Eigen::Index nearest = 0;
     at.barycentric.maxCoeff(&nearest);
-    if (sample) paint.sample[v] = static_cast<std::int32_t>(sample_of(painted.mesh.faces(at.face_index, nearest)));
+    if (values.sample)
+      paint.sample[v] = static_cast<std::int32_t>(values.sample_of(painted.mesh.faces(at.face_index, nearest)));
   });
+  const double median = quantile(distance, 0.5);
+  if (!(median <= 0.03 * size))
+    throw InputError(
+        fmt::format("{}: is not painted on this surface: half of it is more than {:.3g} mm off", name, median));
+  if (fit) *fit = {moved, median, *std::max_element(distance.begin(), distance.end())};
   return paint;
 }
 

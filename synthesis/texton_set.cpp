@@ -10,6 +10,7 @@
 #include "synthesis/albedo.h"
 #include "synthesis/candidate_search.h"
 #include "synthesis/clustering.h"
+#include "synthesis/half_space_reflectance.h"
 #include "synthesis/principal_components.h"
 #include "synthesis/sample_symmetry.h"
 
@@ -128,11 +129,12 @@ std::vector<float> flatten(const RowMatrixf& rows) { return {rows.data(), rows.d
 std::vector<Vec3f> top_colors(const MaterialSample& sample) {
   const int nx = sample.size.x(), ny = sample.size.y(), nz = sample.size.z();
   std::vector<Vec3f> colors(static_cast<std::size_t>(nx) * ny, Vec3f::Zero());
+  const ReflectanceInversion half_space(ReflectanceModel::transport, sample.ior);
   parallel_for(colors.size(), [&](std::size_t texel) {
     for (int z = 0; z < nz; ++z) {
       const std::size_t index = static_cast<std::size_t>(z) * nx * ny + texel;
       if (sample.kind[index] == VoxelKind::free_space) continue;
-      colors[texel] = display_color(diffuse_color(sample.material(index), sample.ior)).matrix();
+      colors[texel] = display_color(half_space.color(sample.material(index))).matrix();
       break;
     }
   });

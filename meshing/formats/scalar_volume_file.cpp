@@ -195,20 +195,34 @@ std::vector<double> parse_numbers(const std::string& text, const std::string& fi
   return numbers;
 }
 
-// The lengths of "(a,b,c) (d,e,f) (g,h,i)".
-std::vector<double> direction_lengths(std::string text, const std::string& path) {
+// The lengths of "(a,b,c) (d,e,f) (g,h,i)". How these lie in space is of no matter, but that they are perpendicular.
+std::vector<double> direction_lengths(const std::string& text, const std::string& path) {
   std::vector<double> lengths;
+  std::vector<std::vector<double>> directions;
   std::size_t at = 0;
   while ((at = text.find('(', at)) != std::string::npos) {
     const std::size_t end = text.find(')', at);
     if (end == std::string::npos) throw InputError(path + ": the field 'space directions' has an open bracket");
     std::string inside = text.substr(at + 1, end - at - 1);
     std::replace(inside.begin(), inside.end(), ',', ' ');
+    directions.push_back(parse_numbers(inside, "space directions", path));
     double square = 0;
-    for (double component : parse_numbers(inside, "space directions", path)) square += component * component;
+    for (double component : directions.back()) square += component * component;
     lengths.push_back(std::sqrt(square));
     at = end;
   }
+  constexpr double most_cosine = 0.01;
+  for (std::size_t i = 0; i < directions.size(); ++i)
+    for (std::size_t j = 0; j < i; ++j) {
+      double product = 0;
+      for (std::size_t k = 0; k < std::min(directions[i].size(), directions[j].size()); ++k)
+        product += directions[i][k] * directions[j][k];
+      if (std::abs(product) > most_cosine * lengths[i] * lengths[j])
+        throw InputError(
+            fmt::format("{}: its axes {} and {} are not perpendicular ('space directions'); resample it on a "
+                        "rectangular grid",
+                        path, j + 1, i + 1));
+    }
   return lengths;
 }
 

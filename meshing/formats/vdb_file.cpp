@@ -102,6 +102,10 @@ bool has_valid_seal(const std::string& bytes) {
 }
 
 openvdb::math::Transform::Ptr transform_of(const GridFrame& frame) {
+  constexpr double least_voxel = 1.5e-5;  // OpenVDB takes a volume below 3e-15 for zero
+  if (!(frame.voxel >= least_voxel))
+    throw InputError(fmt::format("a voxel of {} mm is too small for an OpenVDB file; expected {} mm at least",
+                                 frame.voxel, least_voxel));
   const openvdb::Vec3d origin(frame.origin.x(), frame.origin.y(), frame.origin.z());
   return std::make_shared<openvdb::math::Transform>(
       openvdb::math::MapBase::Ptr(new openvdb::math::UniformScaleTranslateMap(frame.voxel, origin)));

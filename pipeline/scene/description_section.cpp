@@ -118,8 +118,12 @@ std::vector<DescriptionSection> DescriptionSection::list(const std::string& key)
 void DescriptionSection::finish() const {
   for (const auto& [key, value] : values_.items()) {
     if (std::find(known_.begin(), known_.end(), key) != known_.end()) continue;
-    const std::string near = did_you_mean(key, known_);
-    fail(key, "unknown key" + (near.empty() ? fmt::format("; known here: {}", fmt::join(known_, ", ")) : near));
+    // A key may have been asked for more than once.
+    std::vector<std::string> known;
+    for (const std::string& one : known_)
+      if (std::find(known.begin(), known.end(), one) == known.end()) known.push_back(one);
+    const std::string near = did_you_mean(key, known);
+    fail(key, "unknown key" + (near.empty() ? fmt::format("; known here: {}", fmt::join(known, ", ")) : near));
   }
 }
 

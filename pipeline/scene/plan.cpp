@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/Geometry>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <numbers>
@@ -17,6 +18,7 @@
 #include "pipeline/scene/scene_checks.h"
 #include "pipeline/scene/scene_document.h"
 #include "solvers/diffusion/diffusion_validity.h"
+#include "synthesis/surface_paint.h"
 
 namespace shellgrid {
 namespace {
@@ -141,8 +143,12 @@ std::string warn_of_diffusion(const Scene& scene) {
   if (const auto* core = std::get_if<Material>(&material.core); core && !material.opaque) materials.push_back(*core);
   std::string mildest;
   try {
-    if (material.shell) {
-      const std::vector<Material> described = described_materials(material.shell->sample);
+    std::vector<std::string> samples;
+    if (material.shell) samples = material.shell->samples;
+    if (const auto* core = std::get_if<ContinuedCore>(&material.core); core && !core->sample.empty())
+      samples.push_back(core->sample);
+    for (const std::string& sample : samples) {
+      const std::vector<Material> described = described_materials(sample);
       if (described.empty()) return "";
       materials.insert(materials.end(), described.begin(), described.end());
     }
@@ -166,22 +172,32 @@ std::string warn_of_diffusion(const Scene& scene) {
   return mildest;
 }
 
+// A sample that a stage of its own makes.
+struct SampleFiles {
+  std::string name;                 // of the stage; NAME.vdb is its output
+  std::vector<ExternalFile> files;  // the description, under the stage's name, and the files that it names
+};
+
 struct SceneCase {
   const SceneDocument& document;
   const Scene& scene;
   bool opaque, shell;
   ExternalFile mesh;
-  std::vector<ExternalFile> sample;  // the description and the files that it names
+  std::vector<SampleFiles> samples;        // of the shell
+  std::optional<SampleFiles> core_sample;  // of a core of its own
+  std::optional<ExternalFile> paint;
   std::vector<ExternalFile> light_files;
   Tiling tiling;
 
   json part(const char* section) const {
     return document.root.contains(section) ? document.root[section] : json::object();
   }
-  // What solvers read.
+  // What solvers read: of the shell only that there is one, since its own file tells the rest.
   json light_and_matter() const {
     json material = part("material");
-    if (material.contains("shell")) material["shell"].erase("sample");
+    if (material.contains("shell")) material["shell"] = json::object();
+    if (material.contains("core") && material["core"].is_object() && material["core"].contains("sample"))
+      material["core"] = "solid";
     return {{"object", {{"ior", scene.object->ior}}}, {"material", material}, {"lights", lights()}};
   }
   // Slices lie in another folder than the scene: paths in them are absolute.
@@ -205,73 +221,166 @@ PlannedStage prepare(const SceneCase& c) {
   return stage;
 }
 
+// The stages that make a shell, in their order, and what each makes.
+constexpr std::array<std::pair<const char*, const char*>, 5> shell_purposes = {
+    {{"distance", "signed distance and nearest vertex around the surface"},
+     {"sample", "the base volume of the material"},
+     {"textons", "appearance of each texel of the sample"},
+     {"synthesize", "a texture coordinate for every vertex"},
+     {"shell", "the material of every voxel of the shell"}}};
+
+PlannedStage shell_stage(const std::string& name, const std::string& program) {
+  for (const auto& [known, purpose] : shell_purposes)
+    if (program == known) {
+      PlannedStage stage{name, purpose};
+      stage.tool = program;
+      return stage;
+    }
+  throw InternalError("no stage " + program);
+}
+
+PlannedStage make_sample_stage(const SampleFiles& sample, const std::string& reason) {
+  PlannedStage stage = shell_stage(sample.name, "sample");
+  stage.reason = reason;
+  stage.arguments = {"@" + sample.name, "-o", sample.name + ".vdb"};
+  stage.files = sample.files;
+  stage.outputs = {sample.name + ".vdb"};
+  stage.views = {sample.name + ".view.ply"};
+  return stage;
+}
+
+std::vector<std::string> volumes_of(const SceneCase& c) {
+  std::vector<std::string> names;
+  for (const SampleFiles& sample : c.samples) names.push_back(sample.name + ".vdb");
+  return names;
+}
+
+template <class Words>
+void append(std::vector<std::string>& words, const Words& more) {
+  words.insert(words.end(), more.begin(), more.end());
+}
+void append(std::vector<std::string>& words, std::initializer_list<std::string> more) {
+  words.insert(words.end(), more.begin(), more.end());
+}
+
+std::vector<PlannedStage> sample_stages(const SceneCase& c) {
+  const ShellMaterial& material = *c.scene.material->shell;
+  const std::string voxel = millimetres(material.voxel), ior = number_text(c.scene.object->ior);
+  std::vector<PlannedStage> stages;
+  for (std::size_t i = 0; i < c.samples.size(); ++i) {
+    stages.push_back(make_sample_stage(
+        c.samples[i], c.samples.size() == 1
+                          ? "the shell is filled with this sample"
+                          : fmt::format("the shell is filled with this sample where {} is painted", i)));
+    append(stages.back().arguments, {"--voxel", voxel, "--thickness", millimetres(material.thickness), "--ior", ior});
+  }
+  if (c.core_sample) {
+    stages.push_back(make_sample_stage(*c.core_sample, "the core is a solid of this sample"));
+    append(stages.back().arguments, {"--voxel", voxel, "--ior", ior});
+  }
+  return stages;
+}
+
+PlannedStage textons(const SceneCase& c) {
+  const ShellMaterial& material = *c.scene.material->shell;
+  PlannedStage stage = shell_stage("textons", "textons");
+  stage.reason = "synthesis compares places of the sample by their appearance";
+  stage.arguments = stage.artefacts = volumes_of(c);
+  append(stage.arguments, {"-o", "textons.vdb"});
+  if (material.synthesis != "coherence") append(stage.arguments, {"--method", material.synthesis});
+  if (material.symmetry != "auto") append(stage.arguments, {"--symmetry", material.symmetry});
+  stage.outputs = {"textons.vdb"};
+  stage.views = {"textons.view.ply"};
+  return stage;
+}
+
+// Numbers with commas between.
+void append_numbers(std::string& list, const Vec3& numbers) {
+  for (int k = 0; k < 3; ++k) list += (list.empty() ? "" : ",") + number_text(numbers[k]);
+}
+
+PlannedStage synthesize(const SceneCase& c) {
+  const ShellMaterial& material = *c.scene.material->shell;
+  PlannedStage stage = shell_stage("synthesize", "synthesize");
+  stage.reason = "the sample is spread over the surface without a seam";
+  stage.arguments = {"surface.ply", "textons.vdb"};
+  if (c.paint) {
+    stage.reason = c.samples.size() > 1 ? "the samples are spread over the surface as it is painted"
+                                        : "the sample is spread over the surface as it is painted";
+    stage.arguments.push_back("@" + c.paint->name);
+    stage.files = {*c.paint};
+  }
+  append(stage.arguments, {"-o", "synthesized.ply", "--voxel", millimetres(material.voxel)});
+  if (material.synthesis != "coherence") append(stage.arguments, {"--method", material.synthesis});
+  if (material.scale != 1) append(stage.arguments, {"--scale", number_text(material.scale)});
+  if (material.direction != ShellMaterial{}.direction) {
+    std::string direction;
+    append_numbers(direction, material.direction);
+    append(stage.arguments, {"--direction", direction});
+  }
+  if (!material.orient.empty()) {
+    std::string wanted;
+    for (const DirectionConstraint& o : material.orient)
+      append_numbers(wanted, o.point), append_numbers(wanted, o.direction);
+    append(stage.arguments, {"--orient", wanted});
+  }
+  stage.artefacts = {"surface.ply", "textons.vdb"};
+  stage.outputs = {"synthesized.ply"};
+  return stage;
+}
+
+PlannedStage shell(const SceneCase& c) {
+  const ShellMaterial& material = *c.scene.material->shell;
+  PlannedStage stage = shell_stage("shell", "shell");
+  stage.reason = "the material varies below the surface";
+  stage.artefacts = {"synthesized.ply", "distance.vdb"};
+  append(stage.artefacts, volumes_of(c));
+  stage.arguments = stage.artefacts;
+  append(stage.arguments, {"-o", "shell.vdb", "--thickness", millimetres(material.thickness)});
+  if (const Material* core = std::get_if<Material>(&c.scene.material->core))
+    append(stage.arguments, {"--core-absorption", rgb_text(core->absorption()), "--core-scattering",
+                             rgb_text(core->scattering()), "--core-anisotropy", rgb_text(core->anisotropy)});
+  if (const auto* core = std::get_if<ContinuedCore>(&c.scene.material->core))
+    append(stage.arguments, {"--core", core->kind});
+  if (c.core_sample) {
+    append(stage.arguments, {"--core-sample", c.core_sample->name + ".vdb"});
+    stage.artefacts.push_back(c.core_sample->name + ".vdb");
+  }
+  if (material.coordinates != "interpolated") append(stage.arguments, {"--coordinates", material.coordinates});
+  stage.outputs = {"shell.vdb"};
+  stage.views = {"shell.view.ply"};
+  return stage;
+}
+
 void add_shell_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
-  PlannedStage distance{"distance", "signed distance and nearest vertex around the surface"};
-  PlannedStage sample{"sample", "the base volume of the material"};
-  PlannedStage textons{"textons", "appearance of each texel of the sample"};
-  PlannedStage synthesize{"synthesize", "a texture coordinate for every vertex"};
-  PlannedStage shell{"shell", "the material of every voxel of the shell"};
-  distance.outputs = {"distance.vdb"};
-  distance.views = {"distance.view.ply"};
-  sample.outputs = {"sample.vdb"};
-  sample.views = {"sample.view.ply"};
-  textons.outputs = {"textons.vdb"};
-  textons.views = {"textons.view.ply"};
-  synthesize.outputs = {"synthesized.ply"};
-  shell.outputs = {"shell.vdb"};
-  shell.views = {"shell.view.ply"};
   if (!c.shell) {
-    for (PlannedStage* stage : {&distance, &sample, &textons, &synthesize, &shell}) {
-      stage->needed = false;
-      stage->reason = c.opaque ? "the material is opaque: nothing below the surface matters"
-                               : "the material is the same everywhere: there is no shell to fill";
-      stages.push_back(*stage);
+    for (const auto& [name, purpose] : shell_purposes) {
+      PlannedStage stage{name, purpose};
+      stage.needed = false;
+      stage.reason = c.opaque ? "the material is opaque: nothing below the surface matters"
+                              : "the material is the same everywhere: there is no shell to fill";
+      stages.push_back(stage);
     }
     return;
   }
+  PlannedStage distance = shell_stage("distance", "distance");
   const ShellMaterial& material = *c.scene.material->shell;
-  const std::string voxel = millimetres(material.voxel), thickness = millimetres(material.thickness);
   distance.reason = "the shell's voxels look up their depth and nearest vertex";
   distance.arguments = {"surface.ply",
                         "-o",
                         "distance.vdb",
                         "--voxel",
-                        voxel,
+                        millimetres(material.voxel),
                         "--inside",
                         millimetres(material.thickness + 2 * material.voxel),
                         "--outside",
                         millimetres(2 * material.voxel)};
   distance.artefacts = {"surface.ply"};
-  sample.reason = "the shell is filled with this sample";
-  sample.arguments = {"@sample", "-o",    "sample.vdb",
-                      "--voxel", voxel,   "--thickness",
-                      thickness, "--ior", number_text(c.scene.object->ior)};
-  sample.files = c.sample;
-  textons.reason = "synthesis compares places of the sample by their appearance";
-  textons.arguments = {"sample.vdb", "-o", "textons.vdb"};
-  textons.artefacts = {"sample.vdb"};
-  synthesize.reason = "the sample is spread over the surface without a seam";
-  synthesize.arguments = {"surface.ply", "textons.vdb", "-o", "synthesized.ply", "--voxel", voxel};
-  if (!material.orient.empty()) {
-    std::string wanted;
-    for (const DirectionConstraint& o : material.orient)
-      for (const Vec3& v : {o.point, o.direction})
-        for (int k = 0; k < 3; ++k) wanted += (wanted.empty() ? "" : ",") + number_text(v[k]);
-    synthesize.arguments.insert(synthesize.arguments.end(), {"--orient", wanted});
-  }
-  synthesize.artefacts = {"surface.ply", "textons.vdb"};
-  shell.reason = "the material varies below the surface";
-  shell.arguments = {"synthesized.ply", "distance.vdb", "sample.vdb", "-o", "shell.vdb", "--thickness", thickness};
-  if (const Material* core = std::get_if<Material>(&c.scene.material->core))
-    shell.arguments.insert(shell.arguments.end(),
-                           {"--core-absorption", rgb_text(core->absorption()), "--core-scattering",
-                            rgb_text(core->scattering()), "--core-anisotropy", rgb_text(core->anisotropy)});
-  if (const auto* core = std::get_if<ContinuedCore>(&c.scene.material->core))
-    shell.arguments.insert(shell.arguments.end(), {"--core", core->kind});
-  if (material.coordinates != "interpolated")
-    shell.arguments.insert(shell.arguments.end(), {"--coordinates", material.coordinates});
-  shell.artefacts = {"synthesized.ply", "distance.vdb", "sample.vdb"};
-  for (const PlannedStage* stage : {&distance, &sample, &textons, &synthesize, &shell}) stages.push_back(*stage);
+  distance.outputs = {"distance.vdb"};
+  distance.views = {"distance.view.ply"};
+  stages.push_back(distance);
+  for (const PlannedStage& stage : sample_stages(c)) stages.push_back(stage);
+  for (const PlannedStage& stage : {textons(c), synthesize(c), shell(c)}) stages.push_back(stage);
 }
 
 void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
@@ -360,6 +469,45 @@ PlannedStage render(const SceneCase& c) {
   return stage;
 }
 
+// A sample of the scene, checked as far as its text tells, and the files that it is made of.
+SampleFiles find_sample(const std::string& name, const std::string& path, const std::string& place,
+                        const SampleOverrides& overrides, const Scene& scene) {
+  SampleFiles sample{name, {{name, path}}};
+  try {
+    const std::vector<std::string> files = check_sample_description(path, overrides);
+    const std::string volume = name == "sample" ? "volume" : name + "-volume";
+    for (std::size_t i = 0; i < files.size(); ++i)
+      sample.files.push_back({i == 0 ? volume : fmt::format("{}{}", volume, i), files[i]});
+  } catch (const InputError& error) {
+    throw InputError(scene.path + ": " + place + ": " + error.what());
+  }
+  return sample;
+}
+
+// The samples of shell and core, and the paint.
+void find_samples(SceneCase& c, Plan& plan) {
+  const ShellMaterial& shell = *c.scene.material->shell;
+  SampleOverrides overrides{shell.voxel, shell.thickness, c.scene.object->ior, {}};
+  for (std::size_t i = 0; i < shell.samples.size(); ++i) {
+    const std::string name = i == 0 ? "sample" : fmt::format("sample-{}", i + 1);
+    c.samples.push_back(find_sample(name, shell.samples[i], "material.shell", overrides, c.scene));
+    plan.read.push_back(shell.samples[i]);
+  }
+  if (const auto* core = std::get_if<ContinuedCore>(&c.scene.material->core); core && !core->sample.empty()) {
+    overrides.thickness.reset();
+    c.core_sample = find_sample("core-sample", core->sample, "material.core", overrides, c.scene);
+    plan.read.push_back(core->sample);
+  }
+  if (shell.paint.empty()) return;
+  c.paint = ExternalFile{"paint", shell.paint};
+  plan.read.push_back(shell.paint);
+  try {
+    require_paint(read_mesh(shell.paint), static_cast<int>(shell.samples.size()), shell.paint);
+  } catch (const InputError& error) {
+    throw InputError(c.scene.path + ": material.shell.paint: " + error.what());
+  }
+}
+
 }  // namespace
 
 Plan make_plan(const std::string& scene_path) {
@@ -371,7 +519,7 @@ Plan make_plan(const std::string& scene_path) {
   need(scene.object.has_value(), "object");
   need(!scene.object->mesh.empty(), "object.mesh");
   need(scene.material.has_value(), "material");
-  need(!scene.material->shell || !scene.material->shell->sample.empty(), "material.shell.sample");
+  need(!scene.material->shell || !scene.material->shell->samples.empty(), "material.shell.sample");
   need(scene.camera.has_value(), "camera");
   if (scene.method.operator_name == "paper" && scene.method.source == "first-collision")
     throw InputError(scene_path + ": method.source: first-collision: only the operator elements takes it");
@@ -390,24 +538,14 @@ Plan make_plan(const std::string& scene_path) {
                        {"mesh", scene.object->mesh},
                        {},
                        {},
+                       {},
+                       {},
                        choose_tiling(scene, size)};
   Plan plan;
   plan.scene = scene_path;
   plan.read = {scene_path};
   if (mesh) plan.read.push_back(scene.object->mesh);
-  if (scene_case.shell) {
-    const ShellMaterial& shell = *scene.material->shell;
-    scene_case.sample = {{"sample", shell.sample}};
-    plan.read.push_back(shell.sample);
-    std::vector<std::string> files;
-    try {
-      files = check_sample_description(shell.sample, {shell.voxel, shell.thickness, scene.object->ior, {}});
-    } catch (const InputError& error) {
-      throw InputError(scene_path + ": material.shell: " + error.what());
-    }
-    for (std::size_t i = 0; i < files.size(); ++i)
-      scene_case.sample.push_back({i == 0 ? "volume" : fmt::format("volume{}", i), files[i]});
-  }
+  if (scene_case.shell) find_samples(scene_case, plan);
   const json lights = scene_case.lights();
   for (std::size_t i = 0; i < lights.size(); ++i)
     if (lights[i].contains("image"))

@@ -28,8 +28,9 @@ struct PlannedStage {
   std::vector<std::string> outputs = {};    // written; the first is the primary one
   std::vector<std::string> views = {};      // written beside it, for a mesh viewer
   nlohmann::json slice = nullptr;           // the part of the scene it reads, as plan/NAME.json; null: none
+  std::string tool = {};                    // NAME of its program sg-NAME; empty: its own name
 
-  std::string program() const { return "sg-" + name; }
+  std::string program() const { return "sg-" + (tool.empty() ? name : tool); }
 };
 
 struct Plan {

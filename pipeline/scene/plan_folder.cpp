@@ -108,7 +108,7 @@ class Folder {
   // What the stage's result depends on, each by its content.
   json dependencies(const json& stage) {
     json all;
-    const std::string program = "sg-" + stage.at("name").get<std::string>();
+    const std::string program = stage.value("program", "sg-" + stage.at("name").get<std::string>());
     all[program] = hashes_.hash((fs::path(bytes_of(plan_.at("executables"))) / program).string());
     all["options"] = stage.at("arguments");
     for (const json& file : stage.at("files")) {
@@ -230,6 +230,7 @@ void write_plan_folder(const Plan& plan, const std::string& folder, const std::s
     if (stage.needed && !stage.slice.is_null())
       write_text_atomically((root / "plan" / (stage.name + ".json")).string(), stage.slice.dump(2) + "\n");
     stages.push_back({{"name", stage.name},
+                      {"program", stage.program()},
                       {"purpose", stage.purpose},
                       {"needed", stage.needed},
                       {"on_demand", stage.on_demand},

@@ -11,12 +11,11 @@
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
-#include "meshing/formats/output_file.h"
 #include "meshing/formats/vdb_file.h"
-#include "pipeline/cli/nearest_name.h"
 #include "pipeline/scene/description_section.h"
 #include "pipeline/scene/pattern_description.h"
 #include "pipeline/scene/sample_recipe.h"
+#include "pipeline/scene/strict_json.h"
 #include "synthesis/sample_archive.h"
 #include "synthesis/sample_check.h"
 #include "synthesis/sample_resize.h"
@@ -47,20 +46,10 @@ void fit_volume(MaterialSample& sample, const SampleExtent& extent, bool ior_giv
   if (extent.thickness_given) cut(sample, extent.thickness, path);
 }
 
-json parse(const std::string& path) {
-  try {
-    return json::parse(read_text(path), nullptr, true, true);
-  } catch (const json::exception& error) {
-    std::string reason = error.what();
-    if (const std::size_t end = reason.find("] "); end != std::string::npos) reason = reason.substr(end + 2);
-    throw InputError(path + ": is not JSON: " + one_line(reason));
-  }
-}
-
 bool is_volume(const std::string& path) { return std::filesystem::path(path).extension() == ".vdb"; }
 
 SampleRecipe read_recipe(const std::string& path, const SampleOverrides& overrides) {
-  const json document = parse(path);
+  const json document = read_strict_json(path);
   DescriptionSection root(path, "", document);
   std::vector<std::string> types = procedural_types();
   types.insert(types.end(), {"volume", "meshes", "solid"});

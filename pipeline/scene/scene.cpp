@@ -86,7 +86,12 @@ SceneObject parse_object(const Section& section) {
   return object;
 }
 
-Material parse_coefficients(const Section& core) {
+std::variant<BottomLayerCore, ContinuedCore, Material> parse_core(const Section& core, bool has_shell) {
+  if (core.has("sample")) {
+    core.allow({"sample"}, "a core of a sample's solid");
+    if (!has_shell) core.fail("sample", "a solid core lies below a shell; give material.shell");
+    return ContinuedCore{"solid", core.text("sample")};
+  }
   if (core.has("named")) {
     core.allow({"named"}, "a named material");
     try {
@@ -99,6 +104,38 @@ Material parse_coefficients(const Section& core) {
   return Material::from_absorption_scattering(absorption, scattering, core.colour("anisotropy"));
 }
 
+ShellMaterial parse_shell(const Section& section) {
+  ShellMaterial shell;
+  if (section.has("sample")) {
+    const json& sample = section.value("sample");
+    if (sample.is_string())
+      shell.samples = {sample.get<std::string>()};
+    else
+      shell.samples = sample.get<std::vector<std::string>>();
+  }
+  shell.paint = section.text_or_empty("paint");
+  shell.thickness = section.number("thickness");
+  shell.voxel = section.number("voxel");
+  shell.scale = section.number("scale");
+  shell.symmetry = section.text("symmetry");
+  shell.synthesis = section.text("synthesis");
+  shell.coordinates = section.text("coordinates");
+  shell.direction = section.direction("direction");
+  for (std::size_t i = 0; i < section.count("orient"); ++i) {
+    const Section wanted = section.element("orient", i);
+    shell.orient.push_back({wanted.vector("point"), wanted.direction("direction")});
+  }
+  if (shell.voxel > shell.thickness) section.fail("voxel", "is larger than the shell's thickness");
+  if (shell.samples.size() > 1) {
+    if (shell.paint.empty())
+      section.fail("paint", fmt::format("is missing: it says where each of the {} samples goes", shell.samples.size()));
+    if (shell.synthesis == "textons") section.fail("synthesis", "textons: takes one sample, not several");
+  }
+  if (shell.synthesis == "textons" && shell.symmetry != "auto" && shell.symmetry != "1")
+    section.fail("symmetry", shell.symmetry + ": the synthesis by textons lays the sample as it is");
+  return shell;
+}
+
 SceneMaterial parse_material(const Section& section) {
   SceneMaterial material;
   if (section.has("opaque")) {
@@ -107,21 +144,17 @@ SceneMaterial parse_material(const Section& section) {
     return material;
   }
   if (section.has("shell")) {
-    const Section shell = section.section("shell");
-    material.shell = ShellMaterial{
-        shell.text_or_empty("sample"), shell.number("thickness"), shell.number("voxel"), shell.text("coordinates"), {}};
-    for (std::size_t i = 0; i < shell.count("orient"); ++i) {
-      const Section wanted = shell.element("orient", i);
-      material.shell->orient.push_back({wanted.vector("point"), wanted.direction("direction")});
-    }
-    if (material.shell->voxel > material.shell->thickness) shell.fail("voxel", "is larger than the shell's thickness");
+    material.shell = parse_shell(section.section("shell"));
   } else if (!section.has("core") || !section.value("core").is_object()) {
     section.fail(section.has("core") ? "core" : "", "expected shell, opaque, or a core with coefficients");
   }
   if (section.has("core") && section.value("core").is_object())
-    material.core = parse_coefficients(section.section("core"));
+    material.core = parse_core(section.section("core"), material.shell.has_value());
   else if (section.has("core") && section.text("core") != "bottom-layer")
     material.core = ContinuedCore{section.text("core")};
+  if (const auto* core = std::get_if<ContinuedCore>(&material.core);
+      core && core->kind == "solid" && core->sample.empty() && material.shell && material.shell->samples.size() > 1)
+    section.fail("core", "\"solid\": of several samples none is the core's; name one, {\"sample\": …}");
   return material;
 }
 

@@ -22,18 +22,24 @@ struct SceneObject {
 };
 
 struct ShellMaterial {
-  std::string sample;                        // path of the sample description or .vdb
+  std::vector<std::string> samples;          // paths of the samples' descriptions or .vdb
+  std::string paint;                         // path of a painted mesh: which sample, directions, scale; empty: none
   double thickness = 4;                      // mm
   double voxel = 0.4;                        // d_0, mm
+  double scale = 1;                          // how much larger than they are the samples appear along the surface
+  std::string symmetry = "auto";             // turns after which the samples look alike, or "1", "2", "4"
+  std::string synthesis = "coherence";       // or "textons", the paper's sweep
   std::string coordinates = "interpolated";  // or "nearest"
-  std::vector<DirectionConstraint> orient;   // of the sample's x; points in the scene's frame
+  Vec3 direction = Vec3(0, 1, 0);            // the samples' x runs this way where the surface allows
+  std::vector<DirectionConstraint> orient;   // where it must run otherwise; points in the scene's frame
 };
 
 struct BottomLayerCore {};  // the mean of the sample's bottom layer
 // What the shell's own matter says of it: "interpolated" or "mean-value", its bottom layer continued smoothly on the
-// solver's grid or as voxels; or "solid", its sample as a solid.
+// solver's grid or as voxels; or "solid", its sample or one of its own as a solid.
 struct ContinuedCore {
   std::string kind;
+  std::string sample = {};  // path of the solid's own description or .vdb; empty: the shell's
 };
 struct OpaqueMaterial {
   Rgb reflectance = Rgb::Constant(0.5f);  // diffuse, 0 … 1

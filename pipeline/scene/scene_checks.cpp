@@ -4,6 +4,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
+#include <optional>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
@@ -45,6 +47,30 @@ void judge_misfit(double misfit, double width, const std::string& path, const st
   if (misfit > noticeable * width)
     progress.warn(
         fmt::format("{} may be of another surface than {}: {} {:.3g} mm off it", path, surface_path, what, misfit));
+}
+
+bool alike(const Rgb& a, const Rgb& b) { return ((a - b).abs() <= 1e-4f * (a.abs().max(b.abs()) + 1e-6f)).all(); }
+
+bool alike(const Material& a, const Material& b) {
+  return alike(a.absorption(), b.absorption()) && alike(a.scattering(), b.scattering()) &&
+         alike(a.anisotropy, b.anisotropy);
+}
+
+bool has_core_voxels(const ShellVolume& shell) {
+  bool found = false;
+  shell.kind.for_each_active([&](int, int, int, std::int32_t kind) { found = found || kind == core_voxel_kind; });
+  return found;
+}
+
+// Least and greatest index of the mesostructure's surface.
+std::optional<std::pair<float, float>> surface_indices(const ShellVolume& shell) {
+  std::optional<std::pair<float, float>> range;
+  shell.surface_ior.for_each_active([&](int, int, int, float ior) {
+    if (!(ior > 0)) return;
+    if (!range) range = {ior, ior};
+    range = {std::min(range->first, ior), std::max(range->second, ior)};
+  });
+  return range;
 }
 
 }  // namespace
@@ -91,6 +117,32 @@ void require_same_object(const Polygrid& polygrid, const std::string& polygrid_p
                          const std::string& surface_path, Progress& progress) {
   judge_misfit(naming(surface_path, [&] { return polygrid_misfit(polygrid, surface); }), polygrid.spacing,
                polygrid_path, surface_path, "half of its outer points are", progress);
+}
+
+void warn_of_contradictions(const ShellVolume& shell, const std::string& shell_path, const Scene& scene,
+                            Progress& progress) {
+  if (scene.material) {
+    const bool voxels = has_core_voxels(shell);
+    const auto* coefficients = std::get_if<Material>(&scene.material->core);
+    const auto* continued = std::get_if<ContinuedCore>(&scene.material->core);
+    const bool interpolated = continued && continued->kind == "interpolated";
+    std::string wanted;
+    if (coefficients && (voxels || shell.core_interpolated || !alike(*coefficients, shell.core)))
+      wanted = "of other coefficients";
+    else if (continued && interpolated != shell.core_interpolated)
+      wanted = continued->kind;
+    if (!wanted.empty())
+      progress.warn(fmt::format("{}: material.core is {}; the core of {} counts", scene.path, wanted, shell_path));
+  }
+  const double ior = scene.object ? scene.object->ior : shell.ior;
+  if (std::abs(ior - shell.ior) > 1e-6 * ior)
+    progress.warn(fmt::format("{} was made for the refractive index {:.4g}; the scene's, {:.4g}, counts", shell_path,
+                              shell.ior, ior));
+  if (const auto range = surface_indices(shell);
+      range && std::max(std::abs(range->first - ior), std::abs(range->second - ior)) > 1e-6 * ior)
+    progress.warn(fmt::format(
+        "{}: the sample's surface has refractive indices of {:.4g} to {:.4g}; light meets {:.4g} everywhere",
+        shell_path, range->first, range->second, ior));
 }
 
 }  // namespace shellgrid

@@ -31,4 +31,9 @@ void require_same_object(const ShellVolume& shell, const std::string& shell_path
 void require_same_object(const Polygrid& polygrid, const std::string& polygrid_path, const TriangleMesh& surface,
                          const std::string& surface_path, Progress& progress);
 
+// Warns where a shell's file says something else than the scene beside it: of the core, where the file counts; of the
+// refractive index, where the scene counts.
+void warn_of_contradictions(const ShellVolume& shell, const std::string& shell_path, const Scene& scene,
+                            Progress& progress);
+
 }  // namespace shellgrid

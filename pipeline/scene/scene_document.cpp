@@ -8,14 +8,13 @@
 #include <cmath>
 #include <cstring>
 #include <filesystem>
-#include <set>
 
 #include "meshing/core/error.h"
-#include "meshing/formats/output_file.h"
 #include "pipeline/cli/nearest_name.h"
 #include "pipeline/cli/option_table.h"
 #include "pipeline/scene/named_materials.h"
 #include "pipeline/scene/scene_schema.h"
+#include "pipeline/scene/strict_json.h"
 
 namespace shellgrid {
 namespace {
@@ -72,6 +71,8 @@ class Checker {
         return text(value, place, key);
       case KeyType::file:
         return file(value, place, key);
+      case KeyType::files:
+        return files(value, place, key);
       case KeyType::vector:
         return numbers(value, place, key, 3);
       case KeyType::resolution:
@@ -84,9 +85,8 @@ class Checker {
         if (!value.is_string() ||
             (value != "bottom-layer" && value != "interpolated" && value != "mean-value" && value != "solid"))
           fail(place, "is " + kind_of(value) +
-                          "; expected \"bottom-layer\", \"interpolated\", \"mean-value\", \"solid\", {\"named\": …} or "
-                          "{\"absorption\": …, "
-                          "\"scattering\": …}");
+                          "; expected \"bottom-layer\", \"interpolated\", \"mean-value\", \"solid\", {\"named\": …}, "
+                          "{\"sample\": …} or {\"absorption\": …, \"scattering\": …}");
         return;
     }
   }
@@ -127,7 +127,11 @@ class Checker {
     if (word.find('\0') != std::string::npos) fail(place, "holds a zero byte");
   }
 
-  void word(const json& value, const std::string& place, const SceneKey& key) const {
+  // Choices that are numbers may stand without quotes.
+  void word(json& value, const std::string& place, const SceneKey& key) const {
+    if (value.is_number() &&
+        std::find(key.choices.begin(), key.choices.end(), number_text(value.get<double>())) != key.choices.end())
+      value = number_text(value.get<double>());
     text(value, place, key);
     const std::string word = value.get<std::string>();
     if (std::find(key.choices.begin(), key.choices.end(), word) == key.choices.end())
@@ -144,37 +148,29 @@ class Checker {
     value = resolved;
   }
 
+  void files(json& value, const std::string& place, const SceneKey& key) const {
+    constexpr std::size_t most = 64;
+    if (!value.is_array()) {
+      if (!value.is_string()) wrong(value, place, key);
+      return file(value, place, key);
+    }
+    if (value.empty() || value.size() > most)
+      fail(place, fmt::format("is a list of {}; expected 1 to {} paths", value.size(), most));
+    for (std::size_t i = 0; i < value.size(); ++i) {
+      const std::string one = fmt::format("{}[{}]", place, i);
+      if (!value[i].is_string()) fail(one, "is " + kind_of(value[i]) + "; expected path");
+      file(value[i], one, key);
+    }
+  }
+
   const std::string path_;
   const std::filesystem::path folder_;
 };
 
-json parse(const std::string& path, const std::string& text) {
-  // A key written twice would silently lose its first value.
-  std::vector<std::set<std::string>> keys;
-  std::string twice;
-  const auto watch = [&](int, json::parse_event_t event, json& parsed) {
-    if (event == json::parse_event_t::object_start) keys.emplace_back();
-    if (event == json::parse_event_t::object_end && !keys.empty()) keys.pop_back();
-    if (event == json::parse_event_t::key && !keys.empty() && !keys.back().insert(parsed.get<std::string>()).second)
-      twice = parsed.get<std::string>();
-    return true;
-  };
-  try {
-    json root = json::parse(text, watch, true, true);
-    if (!twice.empty()) throw InputError(fmt::format("{}: the key '{}' stands twice in one section", path, twice));
-    return root;
-  } catch (const json::exception& error) {
-    std::string reason = error.what();
-    // "[json.exception.parse_error.101] parse error at line 3, column 5: …"
-    if (const std::size_t end = reason.find("] "); end != std::string::npos) reason = reason.substr(end + 2);
-    throw InputError(path + ": is not JSON: " + reason);
-  }
-}
-
 }  // namespace
 
 SceneDocument read_scene_document(const std::string& path) {
-  SceneDocument document{path, parse(path, read_text(path))};
+  SceneDocument document{path, read_strict_json(path)};
   Checker(path).section(document.root, "", "");
   return document;
 }

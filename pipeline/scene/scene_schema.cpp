@@ -39,6 +39,9 @@ SceneKey word(const std::string& place, const nlohmann::json& otherwise, const s
 SceneKey file(const std::string& place, const std::string& help) {
   return {place, KeyType::file, "", nullptr, 0, 0, false, {}, help};
 }
+SceneKey files(const std::string& place, const std::string& help) {
+  return {place, KeyType::files, "", nullptr, 0, 0, false, {}, help};
+}
 SceneKey vector(const std::string& place, const std::string& unit, const nlohmann::json& otherwise,
                 const std::string& help) {
   return {place, KeyType::vector, unit, otherwise, -1e9, 1e9, false, {}, help};
@@ -66,13 +69,27 @@ std::vector<SceneKey> make_schema() {
 
       section("material", "what the object is made of: shell and core, core alone (homogeneous), or opaque"),
       section("material.shell", "the heterogeneous shell"),
-      file("material.shell.sample", "description of the material sample (.json) or a base volume (.vdb)"),
+      files("material.shell.sample",
+            "description of the material sample (.json) or a base volume (.vdb); a list where several share the "
+            "surface as it is painted"),
+      file("material.shell.paint",
+           "a mesh of the object (.ply) whose vertices say what is wanted there: `sample` (0, 1, … of the list; or "
+           "`quality`, or `red`), `scale`, `direction_x direction_y direction_z`"),
       number("material.shell.thickness", "mm", 4, 1e-6, 1e4, "thickness of the shell"),
       number("material.shell.voxel", "mm", 0.4, 1e-6, 1e4, "edge of its voxels, d_0"),
+      number("material.shell.scale", "", 1, 0.25, 4,
+             "how much larger than it is the sample appears along the surface; times what is painted"),
+      word("material.shell.symmetry", "auto", {"auto", "1", "2", "4"},
+           "turns after which the sample looks alike, so that it may be laid in any of them: 1 none, 2 half turns, 4 "
+           "quarter turns; auto recognises them"),
+      word("material.shell.synthesis", "coherence", {"coherence", "textons"},
+           "how the sample grows: coherently, coarse to fine, or by the paper's sweep of textons (one sample)"),
       word("material.shell.coordinates", "interpolated", {"interpolated", "nearest"},
            "where in the sample a voxel lies: continued from the triangle above it, or that of the nearest vertex, as "
            "the "
            "paper does"),
+      vector("material.shell.direction", "", json::array({0, 1, 0}),
+             "the sample's x runs this way where the surface allows"),
       list("material.shell.orient", "where the sample's x must run in a direction of one's own"),
       vector("material.shell.orient[].point", "mm", none, "there, at the nearest point of the surface"),
       vector("material.shell.orient[].direction", "", none, "along the surface; the rest follows smoothly"),
@@ -87,8 +104,10 @@ std::vector<SceneKey> make_schema() {
        "below the shell, or the whole homogeneous object: `\"bottom-layer\"` (the mean of the sample's bottom layer), "
        "`\"interpolated\"` (the shell's bottom layer continued smoothly: harmonically, without new extremes), "
        "`\"mean-value\"` (the same by mean value coordinates, as voxels of the shell's file), `\"solid\"` (the sample "
-       "as a "
-       "solid, fitted to the shell's bottom, as voxels), a named material, or coefficients; required without a shell"},
+       "as a solid, fitted to the shell's bottom, as voxels), a solid of a sample of its own, a named material, or "
+       "coefficients; required without a shell"},
+      file("material.core.sample",
+           "description of the core's own solid (.json) or a volume (.vdb), laid below the shell like `\"solid\"`"),
       {"material.core.named",
        KeyType::name,
        "",
@@ -216,6 +235,8 @@ std::string key_type_text(const SceneKey& key) {
       return "text";
     case KeyType::file:
       return "path";
+    case KeyType::files:
+      return "path or list of paths";
     case KeyType::vector:
       return "[x, y, z]";
     case KeyType::colour:

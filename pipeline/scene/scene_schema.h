@@ -17,6 +17,7 @@ enum class KeyType {
   word,        // one of `choices`
   name,        // any text
   file,        // a path, relative to the scene file; must exist
+  files,       // one of these or a list of them
   vector,      // [x, y, z]
   colour,      // [r, g, b] or one number for all three
   resolution,  // [width, height]

@@ -187,6 +187,7 @@ int main(int argc, char** argv) {
     if (!shell_path.empty()) {
       shell = read_shell_volume(shell_path);
       require_same_object(shell, shell_path, surface, surface_path, run.progress());
+      warn_of_contradictions(shell, shell_path, scene, run.progress());
     }
     options.adaptive = !whole_grid;
     options.source = source == "scene" ? scene.method.source : source;

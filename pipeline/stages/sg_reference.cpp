@@ -196,6 +196,14 @@ struct Campaign {
     if (end == PathEnd::interrupted)
       run.progress().warn(fmt::format("interrupted after {} paths; the result is that of these", state.paths));
     if (state.paths == 0) throw InputError("stopped before the first paths had ended; there is no result");
+    if (const std::optional<double> error = kind.relative_error(state);
+        limits.target_error > 0 && end != PathEnd::target_error && end != PathEnd::interrupted &&
+        !(error && *error <= limits.target_error))
+      run.progress().warn(
+          fmt::format("--{} ended the run before --target-error {:g} was met: the relative standard "
+                      "error is {}",
+                      end == PathEnd::paths ? "paths" : "time", limits.target_error,
+                      error ? fmt::format("{:.2g}", *error) : "unknown"));
     nlohmann::json& results = run.results();
     results["paths"] = state.paths;
     results["paths_of_earlier_runs"] = first;
@@ -291,6 +299,7 @@ TransportObject read_object(const SceneInputs& inputs, const Scene& scene, const
     });
   const ShellVolume shell = read_shell_volume(inputs.shell);
   require_same_object(shell, inputs.shell, mesh, inputs.surface, run.progress());
+  warn_of_contradictions(shell, inputs.shell, scene, run.progress());
   TransportObject object =
       naming(inputs.shell, [&] { return TransportObject(mesh, shell, scene.object ? scene.object->ior : shell.ior); });
   const LeafMethodCounts& leaves = std::get<ShellMedium>(object.medium()).methods();

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
@@ -147,6 +148,8 @@ int main(int argc, char** argv) {
     program.refuse_unless(core.kind == "solid", "--core solid", {"--core-reach", "--core-sample"});
     if (core.kind == "solid" && core.sample_path.empty() && sample_paths.size() > 1)
       throw UsageError("--core solid: name its sample with --core-sample where there are several");
+    if (std::error_code none; std::filesystem::equivalent(run.output(), core.sample_path, none))
+      throw UsageError("-o " + run.output() + ": would overwrite the core's sample");
     core.solid.seed = run.seed();
     run.start_timer("read");
     const TexturedMesh mesh = detach_texture(read_mesh(mesh_path), mesh_path);

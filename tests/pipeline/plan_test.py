@@ -19,6 +19,8 @@ while words:
     word = words.pop(0)
     if word in ("-o", "--exitance"):
         outputs.append(words.pop(0))
+    elif word == "--core-sample":
+        files.append(words.pop(0))
     elif word.startswith("-"):
         options.append(word)
         if word not in ("-q", "--close-holes", "--no-retile"):
@@ -145,6 +147,79 @@ class PlanTest(unittest.TestCase):
         self.put_scene()
         self.assertEqual(self.remake()[:1], ["shell"])
         self.assertRegex(self.text("Makefile"), "--core mean-value.* --coordinates nearest")
+
+    def put_paint(self, lines, properties="property float sample"):
+        self.put("paint.ply", "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                 "property float z\n%s\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n%s\n3 0 1 2\n"
+                 % (properties, "\n".join(lines)))
+
+    def test_several_samples_a_paint_and_a_core_of_its_own(self):
+        self.put("moss.json", '{"type": "spots", "materials": {"body": {"named": "skin1"}, "spot": {"named": "apple"}}}')
+        self.put("core.json", '{"type": "spots", "materials": {"body": {"named": "skin2"}, "spot": {"named": "cream"}}}')
+        self.put_paint(["0 0 0 0", "1 0 0 1", "0 1 0 1"])
+        self.content["material"] = {"shell": {"sample": ["marble.json", "moss.json"], "paint": "paint.ply",
+                                              "thickness": 2, "voxel": 0.5}, "core": {"sample": "core.json"}}
+        self.put_scene()
+        ran = self.remake()
+        self.assertEqual(ran, sorted(MADE + ["sample", "sample"], key=STAGES.index))
+        makefile = self.text("Makefile")
+        self.assertRegex(makefile, "sg-sample \\S+moss.json -o sample-2.vdb --voxel 0.5 --thickness 2 --ior 1.4 ")
+        self.assertRegex(makefile, "sg-sample \\S+core.json -o core-sample.vdb --voxel 0.5 --ior 1.4 ")
+        self.assertIn("sg-textons sample.vdb sample-2.vdb -o textons.vdb ", makefile)
+        self.assertRegex(makefile, "sg-synthesize surface.ply textons.vdb \\S+paint.ply -o synthesized.ply --voxel 0.5 ")
+        self.assertIn("sg-shell synthesized.ply distance.vdb sample.vdb sample-2.vdb -o shell.vdb --thickness 2 "
+                      "--core solid --core-sample core-sample.vdb ", makefile)
+        # Of each change only what follows from it.
+        growth = ["synthesize", "shell", "diffuse", "render"]
+        self.put_paint(["0 0 0 0", "1 0 0 1", "0 1 0 0"])
+        self.assertEqual(self.make(), growth)
+        self.put("moss.json", '{"type": "spots", "materials": {"body": {"named": "skin1"}, "spot": {"named": "cream"}}}')
+        self.assertEqual(self.make(), ["sample", "textons", *growth])
+        self.put("core.json", '{"type": "spots", "materials": {"body": {"named": "skin1"}, "spot": {"named": "cream"}}}')
+        self.assertEqual(self.make(), ["sample", "shell", "diffuse", "render"])
+        shell = self.content["material"]["shell"]
+        for key, value, option, first in [
+                ("scale", 0.5, "--scale 0.5", growth), ("direction", [-1, 0, 0], "--direction -1,0,0", growth),
+                ("orient", [{"point": [-1, 2, 3], "direction": [0, 0, -2]}], "--orient -1,2,3,0,0,-1", growth),
+                ("symmetry", 4, "--symmetry 4", ["textons", *growth]),
+                ("coordinates", "nearest", "--coordinates nearest", ["shell", "diffuse", "render"])]:
+            shell[key] = value
+            self.put_scene()
+            self.assertEqual(self.make(), first, key)
+            self.assertIn(option + " ", self.text("Makefile"))
+        shell.update(sample=["moss.json", "marble.json"])
+        self.put_scene()
+        self.assertEqual(self.make(), ["sample", "sample", "textons", *growth])
+        shell.update(sample="moss.json", symmetry="auto", synthesis="textons")
+        self.put_paint(["0 0 0 1", "1 0 0 2", "0 1 0 1"], "property float scale")
+        self.put_scene()
+        self.assertEqual(self.make(), ["textons", *growth])
+        self.assertIn("sg-textons sample.vdb -o textons.vdb --method textons ", self.text("Makefile"))
+        self.assertEqual(self.make("all", "views"), [])
+
+    def test_a_paint_that_does_not_fit_is_refused_at_planning(self):
+        self.content["material"] = {"shell": {"sample": ["marble.json", "marble.json"], "paint": "paint.ply",
+                                              "thickness": 2, "voxel": 0.5}}
+        self.put_scene()
+        for lines, properties, words in [
+                (["0 0 0", "1 0 0", "0 1 0"], "", "none of 'sample', 'quality' and 'red'"),
+                (["0 0 0 0", "1 0 0 2", "0 1 0 1"], "property float sample", "vertex 1 wants sample 2, but there are 2"),
+                (["0 0 0 0", "1 0 0 nan", "0 1 0 1"], "property float sample", "'sample' of vertex 1 is not finite"),
+                (["0 0 0 0 9", "1 0 0 1 1", "0 1 0 1 1"], "property float sample\nproperty float scale", "the scale 9"),
+                (["0 0 0 0 9", "1 0 0 1 1", "0 1 0 1 1"], "property float sample\nproperty float direction_x",
+                 "no 'direction_y'")]:
+            self.put_paint(lines, properties)
+            done = self.plan()
+            self.assertEqual((done.returncode, done.stderr.count("\n")), (3, 1), done.stderr)
+            self.assertIn("material.shell.paint: ", done.stderr)
+            self.assertIn(words, done.stderr)
+        self.content["material"]["shell"]["sample"] = "marble.json"
+        self.put_scene()
+        for lines, properties, words in [
+                (["0 0 0", "1 0 0", "0 1 0"], "", "nothing is painted"),
+                (["0 0 0 0", "1 0 0 1", "0 1 0 1"], "property float sample", "vertex 1 wants sample 1, but there is one")]:
+            self.put_paint(lines, properties)
+            self.assertIn(words, self.plan().stderr)
 
     def test_an_opaque_object_needs_no_diffusion(self):
         self.content["material"] = {"opaque": {"reflectance": 0.7}}
@@ -477,6 +552,7 @@ class PlanTest(unittest.TestCase):
                              "material.shell.thickness": ["sample --thickness", "shell --thickness"],
                              "material.shell.voxel": ["prepare --spacing", "distance --voxel", "sample --voxel",
                                                       "synthesize --voxel"],
+                             "material.shell.scale": ["synthesize --scale"],
                              "material.core.absorption": ["shell --core-absorption"],
                              "material.core.scattering": ["shell --core-scattering"],
                              "material.core.anisotropy": ["shell --core-anisotropy"],
@@ -489,7 +565,7 @@ class PlanTest(unittest.TestCase):
                 self.assertLessEqual(ranges[program][flag][0], least, option)
                 self.assertGreaterEqual(ranges[program][flag][1], most, option)
                 seen.add(option)
-        self.assertEqual(len(seen), 13)
+        self.assertEqual(len(seen), 14)
 
     def test_a_scene_without_light_is_planned_with_one_warning(self):
         for lights in (None, [], [dict(self.content["lights"][0], irradiance=0)]):

@@ -50,6 +50,18 @@ TEST(SampleDescription, ClassifiesTheDensityOfAnyVolume) {
   EXPECT_EQ(described_materials(folder / "s.json").size(), 2u);
 }
 
+TEST(SampleDescription, NamesAKeyThatStandsTwiceAndTheKnownOnesOnce) {
+  const TemporaryFolder folder;
+  const auto complaint = [&](const std::string& text) {
+    write_raw(folder / "s.json", text);
+    return input_error_of([&] { load_sample(folder / "s.json", {}); });
+  };
+  EXPECT_NE(complaint(R"({"type": "spots", "type": "wood"})").find("the key 'type' stands twice"), std::string::npos);
+  const std::string known = complaint(R"({"type": "spots", "xyzzyx": 1, "materials": {"body": {"named": "apple"},
+    "spot": {"named": "skin1"}}})");
+  EXPECT_NE(known.find("xyzzyx: unknown key; known here: type, voxel, thickness, ior, size"), std::string::npos) << known;
+}
+
 TEST(SampleDescription, ClassifiesAStackOfImages) {
   const TemporaryFolder folder;
   std::vector<std::uint8_t> rgb;

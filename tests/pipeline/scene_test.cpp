@@ -67,7 +67,7 @@ TEST_F(SceneFile, GivesWhatIsInIt) {
   EXPECT_EQ(scene.object->size, 60);
   EXPECT_EQ(scene.object->ior, 1.3);
   EXPECT_TRUE(scene.object->close_holes);
-  EXPECT_EQ(scene.material->shell->sample, (folder_ / "s.json").string());
+  EXPECT_EQ(scene.material->shell->samples, std::vector<std::string>{(folder_ / "s.json").string()});
   EXPECT_EQ(scene.material->shell->thickness, 3);
   EXPECT_EQ(scene.material->shell->voxel, 0.5);
   ASSERT_EQ(scene.material->shell->orient.size(), 1u);
@@ -97,6 +97,50 @@ TEST_F(SceneFile, GivesWhatIsInIt) {
   EXPECT_EQ(scene.method.samples_per_pixel, 4);
 }
 
+TEST_F(SceneFile, GivesSeveralSamplesTheirPaintAndACoreOfItsOwn) {
+  std::ofstream(folder_ / "p.ply") << "ply\n";
+  std::ofstream(folder_ / "t.vdb") << "vdb\n";
+  const Scene scene = read(R"({"material": {"shell": {"sample": ["s.json", "t.vdb"], "paint": "p.ply", "scale": 0.5,
+    "symmetry": 2, "direction": [3, 0, 0]}, "core": {"sample": "t.vdb"}}})");
+  const ShellMaterial& shell = *scene.material->shell;
+  EXPECT_EQ(shell.samples, (std::vector<std::string>{(folder_ / "s.json").string(), (folder_ / "t.vdb").string()}));
+  EXPECT_EQ(shell.paint, (folder_ / "p.ply").string());
+  EXPECT_EQ(shell.scale, 0.5);
+  EXPECT_EQ(shell.symmetry, "2");
+  EXPECT_EQ(shell.direction, Vec3(1, 0, 0));
+  const auto& core = std::get<ContinuedCore>(scene.material->core);
+  EXPECT_EQ(core.kind, "solid");
+  EXPECT_EQ(core.sample, (folder_ / "t.vdb").string());
+  EXPECT_EQ(read(R"({"material": {"shell": {"symmetry": "4"}}})").material->shell->symmetry, "4");
+  EXPECT_EQ(read(R"({"material": {"shell": {"synthesis": "textons"}}})").material->shell->synthesis, "textons");
+}
+
+TEST_F(SceneFile, RefusesSamplesPaintAndCoresThatContradict) {
+  const std::string two = R"({"material": {"shell": {"sample": ["s.json", "s.json"])";
+  EXPECT_SAYS(complaint(two + "}}}"), "material.shell.paint: is missing: it says where each of the 2 samples goes");
+  EXPECT_SAYS(complaint(two + R"(, "paint": "s.json", "synthesis": "textons"}}})"),
+              "material.shell.synthesis: textons");
+  EXPECT_SAYS(complaint(two + R"(, "paint": "s.json"}, "core": "solid"}})"), "material.core: \"solid\"");
+  EXPECT_EQ(complaint(two + R"(, "paint": "s.json"}, "core": {"sample": "s.json"}}})"), "");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"synthesis": "textons", "symmetry": 4}}})"),
+              "material.shell.symmetry: 4");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"symmetry": 3}}})"), "material.shell.symmetry: is 3; expected text");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"symmetry": "3"}}})"), "none of auto, 1, 2, 4");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"scale": 5}}})"), "material.shell.scale: 5 is out of range");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"direction": [0, 0, 0]}}})"),
+              "material.shell.direction: is the zero");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"sample": []}}})"), "material.shell.sample: is a list of 0");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"sample": ["s.json", 3]}}})"), "material.shell.sample[1]: is 3");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"sample": ["s.json", "gone.vdb"]}}})"),
+              "material.shell.sample[1]: " + (folder_ / "gone.vdb").string());
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"sample": {}}}})"), "expected path or list of paths");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {"paint": "gone.ply"}}})"), "material.shell.paint: ");
+  EXPECT_SAYS(complaint(R"({"material": {"core": {"sample": "s.json"}}})"),
+              "material.core.sample: a solid core lies below");
+  EXPECT_SAYS(complaint(R"({"material": {"shell": {}, "core": {"sample": "s.json", "absorption": 1}}})"),
+              "material.core.absorption: has no place here");
+}
+
 TEST_F(SceneFile, TakesTheDefaultsThatTheTableOfKeysStates) {
   const Scene scene = read(R"({"object": {}, "material": {"shell": {}}, "camera": {}, "method": {}})");
   const SceneObject object;
@@ -105,6 +149,11 @@ TEST_F(SceneFile, TakesTheDefaultsThatTheTableOfKeysStates) {
   EXPECT_EQ(scene.object->close_holes, object.close_holes);
   EXPECT_EQ(scene.material->shell->thickness, ShellMaterial().thickness);
   EXPECT_EQ(scene.material->shell->voxel, ShellMaterial().voxel);
+  EXPECT_EQ(scene.material->shell->scale, ShellMaterial().scale);
+  EXPECT_EQ(scene.material->shell->symmetry, ShellMaterial().symmetry);
+  EXPECT_EQ(scene.material->shell->synthesis, ShellMaterial().synthesis);
+  EXPECT_EQ(scene.material->shell->coordinates, ShellMaterial().coordinates);
+  EXPECT_EQ(scene.material->shell->direction, ShellMaterial().direction);
   const Camera camera;
   EXPECT_EQ(scene.camera->position, camera.position);
   EXPECT_EQ(scene.camera->look_at, camera.look_at);

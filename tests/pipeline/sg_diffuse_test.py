@@ -74,6 +74,9 @@ class Diffuse(unittest.TestCase):
                             "--exitance", "bumps.ply", cwd=self.place.name)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertRegex(done.stderr, r"\d+ % of the material scatters almost nothing, as the free space between bumps")
+        # The sample was made for an index of 1.5, the scene says 1.4 and another core.
+        self.assertIn("material.core is of other coefficients; the core of shell.vdb counts", done.stderr)
+        self.assertIn("shell.vdb was made for the refractive index 1.5; the scene's, 1.4, counts", done.stderr)
 
     def test_a_grid_of_another_surface(self):
         for size, words in (("21.5", "polygrid.hdf: is not of the surface other.ply"),

@@ -119,6 +119,10 @@ class LightTracing(Reference):
         results = programs.record(type(self).at("target.ply"))["results"]
         self.assertLess(results["relative_standard_error"], 0.2)
         self.assertGreater(results["relative_standard_error"], 0.15)
+        self.assertEqual(done.stderr, "")
+        early = self.trace("early", "--target-error", "1e-3", "--paths", "2000")
+        self.assertEqual(early.returncode, 0, early.stderr)
+        self.assertIn("--paths ended the run before --target-error 0.001 was met: the relative standard error is 0.", early.stderr)
 
     def test_a_target_error_without_light_ends(self):
         programs.write_json(type(self).at("away.json"), programs.scene(lights=[
@@ -280,6 +284,7 @@ class Shell(Reference):
     def test_light_meets_the_bumps_and_the_account_closes(self):
         done = self.run_reference("scene.json", "surface.ply", "shell.vdb", "-o", "reference.ply", "--paths", "4e4")
         self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(done.stderr, "")
         results = programs.record(type(self).at("reference.ply"))["results"]
         self.assertGreater(results["free_space_faces"], 100)
         self.assertGreater(results["leaves"]["voxels"] + results["leaves"]["delta"], 10)
@@ -315,6 +320,7 @@ class Shell(Reference):
         self.assertEqual(done.returncode, 0, done.stderr)
         done = self.run_reference("scene.json", "surface.ply", "continued.vdb", "-o", "continued.ply", "--paths", "2e3")
         self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("material.core is of other coefficients; the core of continued.vdb counts", done.stderr)
         energy = programs.record(type(self).at("continued.ply"))["results"]["energy"]
         self.assertLess(max(energy["relative_defect"]), 1e-9)
         self.assertGreater(min(energy["absorbed_core"]), 0)

@@ -8,7 +8,7 @@ import unittest
 import numpy
 
 from ply_file import read_ply
-from programs import SOURCE, icosphere, record, run, workplace, write_json, write_off
+from programs import SOURCE, icosphere, record, run, torus, workplace, write_json, write_off
 
 BODY = {"absorption": [0.02, 0.03, 0.04], "scattering": [2, 2.2, 2.4]}
 VEIN = {"absorption": [0.4, 0.5, 0.5], "scattering": [1.5, 1.5, 1.5], "anisotropy": 0.1}
@@ -111,6 +111,16 @@ class Chain(unittest.TestCase):
             self.refused(run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out, "--orient",
                              "0,0,6,0,0,1"), 3, "across the surface")
 
+    def test_a_distance_field_of_another_mesh_is_refused(self):
+        with workplace() as folder:
+            mesh, field = os.path.join(folder, "torus.ply"), os.path.join(folder, "torus.vdb")
+            write_off(os.path.join(folder, "torus.off"), torus(4.0, 1.5))
+            for arguments in (("prepare", os.path.join(folder, "torus.off"), "-o", mesh, "--size", 0, "--spacing", 0.5),
+                              ("distance", mesh, "-o", field, "--voxel", 0.5, "--inside", 3.5, "--outside", 1)):
+                self.assertEqual(run(*arguments).returncode, 0)
+            self.refused(run("shell", self.at("synthesized.ply"), field, self.at("sample.vdb"), "-o",
+                             os.path.join(folder, "shell.vdb"), "--thickness", 2), 3, "is of another mesh")
+
     def test_two_samples_share_a_surface_as_it_is_painted(self):
         with workplace() as folder:
             def out(name):
@@ -145,6 +155,30 @@ class Chain(unittest.TestCase):
             self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--core", "solid"), 2, "--core-sample")
             inputs[1] = self.at("synthesized.ply")
             self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2), 3, "carries one sample")
+            # Painted on another shape, or where there is no room.
+            def paint(name, mesh, wants):
+                points, faces = mesh
+                with open(out(name), "w") as file:
+                    file.write("ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nproperty float y\nproperty "
+                               "float z\nproperty float sample\nelement face %d\nproperty list uchar int vertex_indices\n"
+                               "end_header\n" % (len(points), len(faces)))
+                    file.writelines("%g %g %g %d\n" % (*p, wants(p)) for p in points)
+                    file.writelines("3 %d %d %d\n" % tuple(f) for f in faces)
+            grow = ["synthesize", self.at("surface.ply"), out("two.vdb"), out("wrong.ply"), "-o", out("s2.ply")]
+            paint("wrong.ply", torus(4.0, 1.5), lambda p: p[2] > 0)
+            self.refused(run(*grow), 3, "wrong.ply: is not painted on this surface", "mm off")
+            paint("wrong.ply", icosphere(3, 6.0), lambda p: p[2] > 5.9)
+            done = run(*grow)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertIn("sample 1 is painted on", done.stderr)
+            paint("wrong.ply", icosphere(3, 6.0), lambda p: 1)
+            self.assertIn("sample 0 is painted nowhere", run(*grow).stderr)
+            # A tenth larger and off the middle: laid onto the surface, not taken as it lies.
+            paint("wrong.ply", icosphere(3, 6.6, (0.5, 0, 0.5)), lambda p: p[2] > 0.5)
+            self.assertEqual(run(*grow).stderr, "")
+            laid = record(out("s2.ply"))["results"]["paint"]
+            self.assertTrue(laid["moved"])
+            self.assertLess(laid["most_distance_mm"], 0.1)
             with open(out("bad.ply"), "w") as file, open(out("painted.ply")) as good:
                 file.write(good.read().replace("property uchar red", "property uchar green"))
             self.refused(run("synthesize", self.at("surface.ply"), out("two.vdb"), out("bad.ply"), "-o", out("s.ply")), 3,
@@ -183,6 +217,9 @@ class Chain(unittest.TestCase):
             results = record(out)["results"]
             self.assertEqual(results["size"], [32, 32, 8])
             self.assertEqual((results["voxel_mm"], results["ior"]), (0.25, 1.3))
+            tiny = run("sample", self.at("sample.vdb"), "-o", out, "--voxel", 1e-6)
+            self.assertEqual(tiny.returncode, 3)
+            self.assertIn("a voxel of 1e-06 mm is too small for an OpenVDB file", tiny.stderr)
 
     def test_shipped_samples_pass_their_checks(self):
         with workplace() as folder:

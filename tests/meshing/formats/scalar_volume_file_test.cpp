@@ -54,7 +54,7 @@ TEST(ScalarVolumeFile, ReadsNrrdInEveryEncodingAndByteOrder) {
   write_raw(path, start + "endian: little\nencoding: raw\nspacings: 0.5 0.25 2\n\n" + shorts(false));
   expect_shorts(read_nrrd(path));
   EXPECT_EQ(read_nrrd(path).spacing, Vec3(0.5, 0.25, 2));
-  write_raw(path, start + "endian: big\nencoding: gzip\nspace directions: (3,4,0) (0,2,0) (0,0,0.5)\n\n" +
+  write_raw(path, start + "endian: big\nencoding: gzip\nspace directions: (3,4,0) (-1.6,1.2,0) (0,0,0.5)\n\n" +
                       gzip(shorts(true)));
   expect_shorts(read_nrrd(path));
   EXPECT_EQ(read_nrrd(path).spacing, Vec3(5, 2, 0.5));
@@ -108,6 +108,9 @@ TEST(ScalarVolumeFile, RefusesWhatItCannotRead) {
     return input_error_of([&] { read_nrrd(path); });
   };
   EXPECT_NE(refusal("nothing").find("not an NRRD"), std::string::npos);
+  EXPECT_NE(refusal(start + "encoding: raw\nspace directions: (3,4,0) (0,2,0) (0,0,0.5)\n\n" + shorts(false))
+                .find("its axes 1 and 2 are not perpendicular"),
+            std::string::npos);
   EXPECT_NE(refusal(start + "encoding: bzip2\n\n").find("bzip2"), std::string::npos);
   EXPECT_NE(refusal(start + "\n").find("'encoding' is missing"), std::string::npos);
   EXPECT_NE(refusal(start + "encoding: raw\n\n" + shorts(false).substr(1)).find("need 48"), std::string::npos);
