@@ -59,7 +59,8 @@ TEST(SampleDescription, NamesAKeyThatStandsTwiceAndTheKnownOnesOnce) {
   EXPECT_NE(complaint(R"({"type": "spots", "type": "wood"})").find("the key 'type' stands twice"), std::string::npos);
   const std::string known = complaint(R"({"type": "spots", "xyzzyx": 1, "materials": {"body": {"named": "apple"},
     "spot": {"named": "skin1"}}})");
-  EXPECT_NE(known.find("xyzzyx: unknown key; known here: type, voxel, thickness, ior, size"), std::string::npos) << known;
+  EXPECT_NE(known.find("xyzzyx: unknown key; known here: type, voxel, thickness, ior, size"), std::string::npos)
+      << known;
 }
 
 TEST(SampleDescription, ClassifiesAStackOfImages) {
