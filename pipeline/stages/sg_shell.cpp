@@ -165,6 +165,9 @@ int main(int argc, char** argv) {
         coordinates == "nearest" ? ShellCoordinates::nearest : ShellCoordinates::interpolated, &s, run.progress());
     run.start_timer("core");
     const json core_results = make_core(core, shell, distance, samples, run.progress());
+    for (std::size_t k = 0; samples.size() > 1 && k < samples.size(); ++k)
+      if (std::find(mesh.sample.begin(), mesh.sample.end(), static_cast<std::int32_t>(k)) == mesh.sample.end())
+        run.progress().warn(fmt::format("no vertex carries sample {}, {}", k, sample_paths[k]));
     int layers = samples.front().size.z();
     for (const MaterialSample& sample : samples) layers = std::min(layers, sample.size.z());
     if (const double depth = layers * samples.front().voxel; depth < thickness * (1 - 1e-6))

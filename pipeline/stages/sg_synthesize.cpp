@@ -25,6 +25,15 @@ void warn_of_distance(const PaintFit& fit, const TriangleMesh& surface, const st
         fit.most, fit.median));
 }
 
+// Corners of triangles at a vertex: six where all of them hang together, one where none does.
+void warn_of_loose_triangles(const TriangleMesh& mesh, const std::string& path, Progress& progress) {
+  const double corners = 3.0 * mesh.face_count() / std::max(1, mesh.vertex_count());
+  if (mesh.face_count() > 100 && corners < 2)
+    progress.warn(fmt::format(
+        "{}: its triangles share hardly any vertices, and the sample cannot go on from one to the next; try sg-prepare",
+        path));
+}
+
 std::vector<double> shares_of(const std::vector<std::int32_t>& sample, int count) {
   std::vector<double> shares;
   for (int s = 0; s < count; ++s)
@@ -33,15 +42,16 @@ std::vector<double> shares_of(const std::vector<std::int32_t>& sample, int count
   return shares;
 }
 
-void warn_of_lost_samples(const std::vector<double>& wanted, const std::vector<double>& got, Progress& progress) {
-  for (std::size_t s = 0; s < wanted.size(); ++s)
-    if (wanted[s] == 0)
+void warn_of_lost_samples(const TriangleMesh& surface, const std::vector<std::int32_t>& wanted,
+                          const std::vector<std::int32_t>& got, int count, Progress& progress) {
+  for (int s = 0; s < count; ++s)
+    if (std::find(wanted.begin(), wanted.end(), s) == wanted.end())
       progress.warn(fmt::format("sample {} is painted nowhere", s));
-    else if (got[s] < 0.5 * wanted[s])
-      progress.warn(fmt::format(
-          "sample {} is painted on {:.2g} % of the surface and stands on {:.2g} % of it: areas narrower than "
-          "about eight texels do not stay",
-          s, 100 * wanted[s], 100 * got[s]));
+  if (const LostAreas lost = find_lost_areas(surface, wanted, got); lost.areas > 0)
+    progress.warn(fmt::format(
+        "{} of the painted areas did not stay, {} of {} vertices, the largest of {}: they want to be wider than "
+        "about eight texels",
+        lost.areas, lost.vertices, wanted.size(), lost.largest));
 }
 
 }  // namespace
@@ -96,6 +106,7 @@ int main(int argc, char** argv) {
     }
     run.start_timer("read");
     const AttributedMesh surface = read_mesh(surface_path);
+    warn_of_loose_triangles(surface.mesh, surface_path, run.progress());
     TextonSet textons = restore_textons(read_vdb(textons_path));
     if (voxel > 0) textons.voxel = voxel;
     options.seed = run.seed();
@@ -130,7 +141,8 @@ int main(int argc, char** argv) {
                        {"tiling", w.tiling}});
     const std::vector<double> shares = shares_of(texture.sample, textons.layers.sample_count);
     if (textons.layers.sample_count > 1)
-      warn_of_lost_samples(shares_of(options.paint.sample, textons.layers.sample_count), shares, run.progress());
+      warn_of_lost_samples(surface.mesh, options.paint.sample, texture.sample, textons.layers.sample_count,
+                           run.progress());
     run.results() = {{"vertices", texture.coordinate.size()},
                      {"level_vertices", levels},
                      {"sample_shares", shares},
