@@ -1,11 +1,17 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
+#include "meshing/formats/output_file.h"
+#include "meshing/formats/output_set.h"
 #include "meshing/formats/vdb_file.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/cli/view_path.h"
+#include "pipeline/scene/irradiance_state_file.h"
 #include "solvers/shell_texture/irradiance_tracing.h"
 #include "solvers/shell_texture/shell_texture_archive.h"
 #include "synthesis/sample_archive.h"
@@ -27,43 +33,90 @@ BaseVolume base_volume(const MaterialSample& sample) {
   return volume;
 }
 
+// Follows light from where the state's file, if any, left off, and keeps it there.
+ShellTexture follow(const BaseVolume& volume, IrradianceOptions options, const std::string& state_path,
+                    const std::string& fingerprint, StageRun& run, IrradianceReport& report) {
+  IrradianceSums sums = empty_sums(volume, options);
+  if (!state_path.empty() && std::filesystem::exists(state_path))
+    sums = read_irradiance_state(state_path, fingerprint, sums);
+  run.results()["batches_of_earlier_runs"] = sums.upper_batches;
+  const auto save = [&](const IrradianceSums& now) {
+    const OutputSet::Aside at_once;
+    write_irradiance_state(state_path, fingerprint, now);
+  };
+  if (!state_path.empty()) options.checkpoint = save;
+  ShellTexture texture = trace_irradiance(volume, options, sums, &report, run.progress());
+  if (!state_path.empty()) {
+    save(sums);
+    run.note_output(state_path);
+  }
+  return texture;
+}
+
+nlohmann::json in_figures(const IrradianceReport& report, const ShellTexture& texture) {
+  nlohmann::json balance = nlohmann::json::array();
+  for (const DirectionBalance& b : report.balance)
+    balance.push_back({{"absorbed", b.absorbed}, {"left_above", b.left_above}, {"left_below", b.left_below}});
+  return {{"size", {texture.size.x(), texture.size.y(), texture.size.z()}},
+          {"directions", texture.directions.count()},
+          {"paths", report.paths},
+          {"paths_from_below", report.back_paths},
+          {"march_rays_a_texel", report.march_rays},
+          {"median_error", report.median_error},
+          {"median_error_from_below", report.back_error},
+          {"balance", balance}};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::string sample_path, estimator = "track-length";
+  std::string sample_path, state_path, estimator = "shared-walks";
   IrradianceOptions options;
-  options.paths = 16;
-  options.most_paths = 1e5;
+  options.target_error = 0.02;
   StageProgram program("sg-irradiance", "Traces how light from any direction reaches each voxel of a sample.");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
   program.output("stf.vdb", "the shell texture function: I_s and I_m of each voxel and direction, and their error");
   program.output_beside(".view.ply");
-  program.option("--paths", options.paths, "a texel", "light paths of each direction", 1e-3, 1e6);
+  program.option("--paths", options.paths, "a texel", "light paths, in all or of each direction, at least", 1e-3, 1e6);
   program.option("--most-paths", options.most_paths, "a texel", "where --target-error ends at the latest", 1e-3, 1e7);
   program.option("--target-error", options.target_error, "",
-                 "go on, each time doubling the paths, until half of the voxels and directions have a relative "
-                 "standard error of I_m below it; 0: no such end",
+                 "go on until half of the voxels and directions have a relative standard error of I_m below it; 0: no "
+                 "such end, as where only --paths is given",
                  0, 1);
   program.option("--estimator", estimator,
-                 "track-length: ways through voxels, and I_s marched; sphere: collisions within a voxel of each "
-                 "centre, as the paper does, dark near the surface",
-                 {"track-length", "sphere"});
+                 "of I_m; shared-walks: walks that serve all directions; track-length: paths of each direction, ways "
+                 "through voxels; sphere: collisions within a voxel of each centre, as the paper does, dark near the "
+                 "surface, and so I_s, which is marched otherwise",
+                 {"shared-walks", "track-length", "sphere"});
   program.option("--rings", options.directions.rings, "", "rings of directions from zenith to horizon", 1, 64);
   program.option("--turns", options.directions.turns, "", "directions of each ring", 1, 256);
-  program.option("--march-rays", options.march_rays, "", "rays along each side of a texel, for I_s", 1, 64);
-  program.example("sg-irradiance sample.vdb -o stf.vdb --target-error 0.05",
-                  "half of the values within 5 % standard error");
+  program.option("--march-rays", options.march_rays, "", "rays along each side of a texel, at most, for I_s", 1, 64);
+  program.option("--march-error", options.march_error, "",
+                 "rays double until I_s changes by less, in its sum over the voxels", 0, 1);
+  program.output_option("--state", state_path, "",
+                        "file in which the paths are kept: where it is there, the run goes on from it, to the same "
+                        "bytes as without a break");
+  program.example("sg-irradiance sample.vdb -o stf.vdb", "half of the values within 2 % standard error");
+  program.example("sg-irradiance sample.vdb -o stf.vdb --target-error 0.01 --state stf.state",
+                  "to be stopped with Ctrl-C, and gone on with by the same command");
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
     const MaterialSample sample = restore_sample(read_vdb(sample_path));
+    if (program.given("--paths") && !program.given("--target-error")) options.target_error = 0;
     options.most_paths = std::max(options.most_paths, options.paths);
     options.seed = run.seed();
-    options.estimator = estimator == "sphere" ? IrradianceEstimator::sphere : IrradianceEstimator::track_length;
+    options.estimator = estimator == "sphere"         ? IrradianceEstimator::sphere
+                        : estimator == "track-length" ? IrradianceEstimator::track_length
+                                                      : IrradianceEstimator::shared_walks;
     options.interrupted = run.hold_interrupts();
+    const std::string fingerprint =
+        fmt::format("irradiance 1 {} {} {} {} {} {} {} {} {}", hash_file(sample_path), estimator,
+                    options.directions.rings, options.directions.turns, options.march_rays, options.march_error,
+                    options.paths, run.seed(), SHELLGRID_VERSION);
     run.start_timer("trace");
     IrradianceReport report;
     const ShellTexture texture =
-        naming(sample_path, [&] { return trace_irradiance(base_volume(sample), options, &report, run.progress()); });
+        naming(sample_path, [&] { return follow(base_volume(sample), options, state_path, fingerprint, run, report); });
     if (report.interrupted)
       run.progress().warn("interrupted: the values are those of the paths until then");
     else if (options.target_error > 0 && report.median_error > options.target_error)
@@ -73,13 +126,8 @@ int main(int argc, char** argv) {
     const std::string view = view_path(run.output());
     write_ply(view, view_shell_texture(texture));
     run.note_output(view);
-    nlohmann::json balance = nlohmann::json::array();
-    for (const DirectionBalance& b : report.balance)
-      balance.push_back({{"absorbed", b.absorbed}, {"left_above", b.left_above}, {"left_below", b.left_below}});
-    run.results() = {{"size", {texture.size.x(), texture.size.y(), texture.size.z()}},
-                     {"directions", texture.directions.count()},
-                     {"paths_a_direction", report.paths},
-                     {"median_error", report.median_error},
-                     {"balance", balance}};
+    run.results().update(in_figures(report, texture));
+    run.print(fmt::format("{}: {:.0f} paths, median standard error {:.2g} %, from below {:.2g} %", run.output(),
+                          report.paths, 100 * report.median_error, 100 * report.back_error));
   });
 }

@@ -6,26 +6,29 @@
 #include <vector>
 
 #include "meshing/core/progress.h"
-#include "solvers/diffusion/channel_lanes.h"
 #include "solvers/shell_texture/base_volume.h"
+#include "solvers/shell_texture/irradiance_sums.h"
 #include "solvers/shell_texture/shell_texture.h"
 
 namespace shellgrid {
 
 enum class IrradianceEstimator {
-  track_length,  // I_m: expected ways through voxels; I_s: marched, without noise
+  shared_walks,  // I_m by walks that serve all directions; I_s marched
+  track_length,  // I_m by expected ways through voxels, each direction for itself: the judge; I_s marched
   sphere         // the paper's: collisions within a sphere of one voxel's radius [STF §5.2]; biased near the surface
 };
 
 struct IrradianceOptions {
-  IrradianceEstimator estimator = IrradianceEstimator::track_length;
+  IrradianceEstimator estimator = IrradianceEstimator::shared_walks;
   LightDirections directions;
-  double paths = 1;          // of each direction and texel, at least
-  double most_paths = 1000;  // at most
-  double target_error = 0;   // median relative standard error of I_m over voxels and directions; 0: none
-  int march_rays = 8;        // along x and y of a texel, for I_s
+  double paths = 16;          // a texel, at least: of each direction, or in all where they are shared
+  double most_paths = 1e5;    // a texel, at most
+  double target_error = 0;    // median relative standard error of I_m over voxels and directions; 0: none
+  int march_rays = 8;         // along x and y of a texel, at most, for I_s
+  double march_error = 0.01;  // rays double until I_s changes by less
   std::uint64_t seed = 0;
-  std::function<bool()> interrupted;  // asked between rounds; may be empty
+  std::function<bool()> interrupted;                      // asked between batches; may be empty
+  std::function<void(const IrradianceSums&)> checkpoint;  // gets the sums about once a minute; may be empty
 };
 
 // Of each direction, the shares of its light (of the light across the tile), mean of the channels.
@@ -34,13 +37,22 @@ struct DirectionBalance {
 };
 
 struct IrradianceReport {
-  double paths = 0;                       // of each direction
+  double paths = 0, back_paths = 0;       // in all, or of each direction; from below
   double median_error = -1;               // relative standard error of I_m; −1: unknown
+  double back_error = -1;                 // of I_m(ω_b)
+  int march_rays = 0;                     // rays a texel, of the direction with most
   std::vector<DirectionBalance> balance;  // of each direction, then of the light from below
   bool interrupted = false;
 };
 
-// Same volume, options: same bits at any thread count. Throws: InputError.
+// Sums for this volume and these options, without paths yet.
+IrradianceSums empty_sums(const BaseVolume& volume, const IrradianceOptions& options);
+
+// Goes on from `sums`: the result is a function of volume, options and the number of batches alone, at any thread
+// count, however often it was interrupted. The error is judged after numbers of batches that grow by an eighth.
+// Throws: InputError; also where it was interrupted before the first batches had ended.
+ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions& options, IrradianceSums& sums,
+                              IrradianceReport* report = nullptr, Progress& progress = no_progress());
 ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions& options,
                               IrradianceReport* report = nullptr, Progress& progress = no_progress());
 

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """sg-irradiance as a program: its files, its record, what it refuses."""
 import os
+import signal
+import subprocess
+import time
 import unittest
 
 from ply_file import read_ply
@@ -29,7 +32,7 @@ class Irradiance(WorkplaceTest):
         self.assertEqual(results["directions"], 8)
         self.assertEqual(len(results["balance"]), 9)
         for balance in results["balance"]:
-            self.assertAlmostEqual(sum(balance.values()), 1, delta=0.06)
+            self.assertAlmostEqual(sum(balance.values()), 1, delta=0.15)
         self.assertGreater(results["median_error"], 0)
         vertices, _ = read_ply(self.at("stf.view.ply"))
         self.assertTrue({"red", "green", "blue", "quality"} <= set(vertices.dtype.names))
@@ -49,6 +52,41 @@ class Irradiance(WorkplaceTest):
                 contents.append(file.read())
         self.assertEqual(contents[0], contents[1])
         self.assertNotEqual(contents[0], contents[2])
+
+    def test_goes_on_from_its_state_to_the_same_bytes(self):
+        sample = self.sample("sample.vdb")
+        few = ["--rings", 1, "--turns", 3]
+        state = self.at("paths.state")
+        contents = []
+        for arguments in (["--target-error", 0.3, "--state", state], ["--target-error", 0.1, "--state", state],
+                          ["--target-error", 0.1]):
+            out = self.at("stf%d.vdb" % len(contents))
+            done = run("irradiance", sample, "-o", out, *few, *arguments)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            with open(out, "rb") as file:
+                contents.append(file.read())
+        self.assertGreater(record(self.at("stf1.vdb"))["results"]["batches_of_earlier_runs"], 7)
+        self.assertNotEqual(contents[0], contents[1])
+        self.assertEqual(contents[1], contents[2])
+        done = run("irradiance", sample, "-o", self.at("other.vdb"), *few, "--seed", 3, "--state", state)
+        self.assertEqual(done.returncode, 3, done.stderr)
+        self.assertIn("other inputs or options", done.stderr)
+
+    def test_interrupted_it_writes_what_it_has_and_goes_on(self):
+        sample = self.sample("sample.vdb")
+        out, state = self.at("stf.vdb"), self.at("paths.state")
+        command = [os.path.join(os.environ["SG_BIN"], "sg-irradiance"), sample, "-o", out, "--rings", "1", "--turns", "2", "--target-error", "1e-6",
+                   "--state", state]
+        running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        time.sleep(2)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+        self.assertEqual(running.returncode, 0, said)
+        self.assertIn("interrupted", said)
+        first = record(out)["results"]["paths"]
+        done = run("irradiance", sample, "-o", out, "--rings", 1, "--turns", 2, "--target-error", 0.5, "--state", state)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertGreaterEqual(record(out)["results"]["paths"], first)
 
     def test_refuses_what_is_no_sample(self):
         write_json(self.at("no.json"), {})

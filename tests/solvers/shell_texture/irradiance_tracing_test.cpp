@@ -10,40 +10,23 @@
 #include <numbers>
 
 #include "meshing/core/error.h"
-#include "meshing/core/random.h"
 #include "solvers/transport/dielectric.h"
+#include "tests/support/base_volumes.h"
 
 namespace shellgrid {
 namespace {
 
-BaseVolume layer(const Vec3i& size, const Vec3f& extinction, const Vec3f& albedo, float anisotropy, double ior) {
-  BaseVolume v;
-  v.size = size;
-  v.voxel = 0.5;
-  v.ior = ior;
-  v.extinction.assign(v.voxel_count(), extinction);
-  v.albedo.assign(v.voxel_count(), albedo);
-  v.anisotropy.assign(v.voxel_count(), Vec3f::Constant(anisotropy));
-  v.free.assign(v.voxel_count(), 0);
-  return v;
-}
+using test::layer;
 
 // σ_t of random powers, and a block on top whose upper part overhangs.
 BaseVolume bumpy(float albedo, double ior) {
   BaseVolume v = layer({10, 10, 8}, Vec3f::Ones(), Vec3f::Constant(albedo), 0.3f, ior);
-  for (std::size_t k = 0; k < v.voxel_count(); ++k) {
-    const double power = 2 * to_unit(hash64(3, k)) - 1;
-    v.extinction[k] = Vec3f(1.0f, 2.0f, 0.5f) * static_cast<float>(std::pow(4.0, power));
-  }
-  for (int y = 0; y < 10; ++y)
-    for (int x = 0; x < 10; ++x)
-      for (int z = 0; z < 4; ++z) {
-        const bool head = z < 2 && x >= 2 && x < 8 && y >= 2 && y < 8;
-        const bool stem = x >= 4 && x < 6 && y >= 4 && y < 6;
-        if (!head && !stem) v.free[v.index(x, y, z)] = 1;
-      }
+  test::vary_extinction(v, 4);
+  test::cut_mushroom(v);
   return v;
 }
+
+constexpr IrradianceEstimator both[] = {IrradianceEstimator::shared_walks, IrradianceEstimator::track_length};
 
 // ∫ over the upper hemisphere, ring by ring, of I_s + I_m, and `below` times that from below.
 Vec3 hemisphere_sum(const ShellTexture& t, std::size_t voxel, double below) {
@@ -79,27 +62,31 @@ TEST(IrradianceTracing, EveryWattIsAbsorbedOrLeaves) {
   const BaseVolume v = bumpy(0.8f, 1.3);
   IrradianceOptions options;
   options.directions = {3, 4};
-  options.paths = 60;
-  IrradianceReport report;
-  const ShellTexture t = trace_irradiance(v, options, &report);
-  for (int l = 0; l <= options.directions.count(); ++l) {
-    const DirectionBalance& b = report.balance[l];
-    EXPECT_NEAR(b.absorbed + b.left_above + b.left_below, 1, 0.015) << l;  // the roulette's noise
-    // What passes into the core.
-    double below = 0;
-    for (int k = 0; k < 100; ++k) below += t.below[100 * l + k].mean() / 100;
-    const bool back = l == options.directions.back();
-    EXPECT_NEAR(below, b.left_below * (back ? 1 : options.directions.direction(l).z()), 1e-4) << l;
-    if (back) continue;
-    // What the fluence says is absorbed, of what falls on the tile.
-    double absorbed = 0;
-    for (std::size_t k = 0; k < v.voxel_count(); ++k) {
-      if (v.free[k]) continue;
-      for (int c = 0; c < 3; ++c)
-        absorbed += 0.2 * v.extinction[k][c] * (t.single[t.at(l, k)][c] + t.multiple[t.at(l, k)][c]) * t.matter[k] / 3;
+  for (const IrradianceEstimator estimator : both) {
+    options.estimator = estimator;
+    options.paths = estimator == IrradianceEstimator::shared_walks ? 400 : 60;
+    IrradianceReport report;
+    const ShellTexture t = trace_irradiance(v, options, &report);
+    for (int l = 0; l <= options.directions.count(); ++l) {
+      const DirectionBalance& b = report.balance[l];
+      EXPECT_NEAR(b.absorbed + b.left_above + b.left_below, 1, 0.02) << l;  // the roulette's noise
+      // What passes into the core.
+      double below = 0;
+      for (int k = 0; k < 100; ++k) below += t.below[100 * l + k].mean() / 100;
+      const bool back = l == options.directions.back();
+      EXPECT_NEAR(below, b.left_below * (back ? 1 : options.directions.direction(l).z()), 1e-4) << l;
+      if (back) continue;
+      // What the fluence says is absorbed, of what falls on the tile.
+      double absorbed = 0;
+      for (std::size_t k = 0; k < v.voxel_count(); ++k) {
+        if (v.free[k]) continue;
+        for (int c = 0; c < 3; ++c)
+          absorbed +=
+              0.2 * v.extinction[k][c] * (t.single[t.at(l, k)][c] + t.multiple[t.at(l, k)][c]) * t.matter[k] / 3;
+      }
+      const double fallen = 100 * options.directions.direction(l).z();  // texels; the voxel's edge falls out but once
+      EXPECT_NEAR(absorbed * 0.5 / fallen, b.absorbed, 0.06 * b.absorbed) << l;
     }
-    const double fallen = 100 * options.directions.direction(l).z();  // texels; the voxel's edge falls out but once
-    EXPECT_NEAR(absorbed * 0.5 / fallen, b.absorbed, 0.06 * b.absorbed) << l;
   }
 }
 
@@ -110,7 +97,7 @@ TEST(IrradianceTracing, AWhiteSampleInEvenLightDisappears) {
       const BaseVolume v = bumps ? bumpy(1, ior) : layer({4, 4, 6}, {1, 3, 0.3f}, Vec3f::Ones(), 0.5f, ior);
       IrradianceOptions options;
       options.directions = {12, 8};
-      options.paths = bumps ? 24 : 100;
+      options.paths = bumps ? 600 : 1500;
       const ShellTexture t = trace_irradiance(v, options);
       Vec3 mean = Vec3::Zero();
       double worst = 0;
@@ -125,7 +112,6 @@ TEST(IrradianceTracing, AWhiteSampleInEvenLightDisappears) {
       mean /= count;
       std::printf("bumps %d, index %.1f: %.4f %.4f %.4f of the light, worst voxel %.3f off\n", bumps, ior, mean[0],
                   mean[1], mean[2], worst);
-      // Noise: a fortieth of a channel, less of their mean.
       for (int c = 0; c < 3; ++c) EXPECT_NEAR(mean[c], 1, 0.05);
       EXPECT_NEAR(mean.mean(), 1, 0.015);
       EXPECT_LT(worst, 0.6);
@@ -137,6 +123,7 @@ TEST(IrradianceTracing, ThePapersSphereIsBiasedNearTheSurface) {
   IrradianceOptions options;
   options.directions = {2, 2};
   options.paths = 400;
+  options.estimator = IrradianceEstimator::track_length;
   const ShellTexture right = trace_irradiance(v, options);
   options.estimator = IrradianceEstimator::sphere;
   const ShellTexture paper = trace_irradiance(v, options);
@@ -158,14 +145,132 @@ TEST(IrradianceTracing, StopsAtItsErrorAndGivesTheSameBitsAtAnyThreadCount) {
   IrradianceOptions options;
   options.directions = {2, 3};
   options.target_error = 0.1;
-  IrradianceReport report;
-  const ShellTexture t = trace_irradiance(v, options, &report);
-  EXPECT_LE(report.median_error, 0.1);
-  EXPECT_GT(report.median_error, 0.03);
-  const oneapi::tbb::global_control one(oneapi::tbb::global_control::max_allowed_parallelism, 1);
-  const ShellTexture again = trace_irradiance(v, options);
-  for (std::size_t k = 0; k < t.multiple.size(); ++k) ASSERT_EQ(t.multiple[k], again.multiple[k]);
-  for (std::size_t k = 0; k < t.single.size(); ++k) ASSERT_EQ(t.single[k], again.single[k]);
+  for (const IrradianceEstimator estimator : both) {
+    options.estimator = estimator;
+    IrradianceReport report;
+    const ShellTexture t = trace_irradiance(v, options, &report);
+    EXPECT_LE(report.median_error, 0.1);
+    EXPECT_GT(report.median_error, 0.02);
+    const oneapi::tbb::global_control one(oneapi::tbb::global_control::max_allowed_parallelism, 1);
+    const ShellTexture again = trace_irradiance(v, options);
+    EXPECT_TRUE(t.multiple == again.multiple);
+    EXPECT_TRUE(t.single == again.single);
+    EXPECT_TRUE(t.below == again.below);
+    EXPECT_TRUE(t.error == again.error);
+  }
+}
+
+TEST(IrradianceTracing, GoesOnToTheSameBitsAsWithoutABreak) {
+  const BaseVolume v = bumpy(0.9f, 1.4);
+  for (const IrradianceEstimator estimator : {both[0], both[1], IrradianceEstimator::sphere}) {
+    IrradianceOptions options;
+    options.estimator = estimator;
+    options.directions = {2, 3};
+    options.paths = 30;
+    options.target_error = 0.08;
+    const ShellTexture whole = trace_irradiance(v, options);
+    IrradianceSums sums = empty_sums(v, options);
+    int breaks = 0;
+    for (int run = 0; run < 1000; ++run) {
+      int asked = 0;
+      options.interrupted = [&] { return ++asked > 12; };
+      IrradianceReport report;
+      const ShellTexture part = trace_irradiance(v, options, sums, &report);
+      if (report.interrupted) {
+        ++breaks;
+        continue;
+      }
+      EXPECT_TRUE(part.multiple == whole.multiple);
+      EXPECT_TRUE(part.below == whole.below);
+      EXPECT_TRUE(part.error == whole.error);
+      EXPECT_TRUE(part.single == whole.single);
+      break;
+    }
+    EXPECT_GT(breaks, 0);
+    sums = empty_sums(v, options);
+    options.interrupted = [] { return true; };
+    EXPECT_THROW(trace_irradiance(v, options, sums), InputError);
+  }
+}
+
+// Along a flat surface light of all directions of a ring does the same.
+TEST(IrradianceTracing, StandardErrorsTellHowFarValuesAreOff) {
+  const BaseVolume v = layer({6, 6, 5}, Vec3f(1, 2, 0.5f), Vec3f(0.9f, 0.5f, 0), 0.5f, 1.3);
+  for (const IrradianceEstimator estimator : both) {
+    IrradianceOptions options;
+    options.estimator = estimator;
+    options.directions = {2, 4};
+    options.paths = 20;
+    options.target_error = 1e-9;
+    options.most_paths = 160;
+    const ShellTexture t = trace_irradiance(v, options);
+    double chi_square = 0;
+    int count = 0;
+    for (int l = 0; l < 8; ++l)
+      for (int z = 0; z < 5; ++z) {
+        double mean = 0;
+        for (int m = l / 4 * 4; m < l / 4 * 4 + 4; ++m)
+          for (int k = 0; k < 36; ++k) mean += static_cast<double>(t.multiple[t.at(m, 36 * z + k)].mean()) / 144;
+        for (int k = 0; k < 36; ++k) {
+          const std::size_t at = t.at(l, 36 * z + k);
+          const double value = static_cast<double>(t.multiple[at].mean());
+          chi_square += std::pow((value - mean) / (value * static_cast<double>(t.error[at])), 2);
+          ++count;
+        }
+      }
+    std::printf("mean square of deviations over standard errors: %.3f\n", chi_square / count);
+    EXPECT_NEAR(chi_square / count, 1, 0.2);
+  }
+}
+
+TEST(IrradianceTracing, ServesAnyMatterOrSaysWhyNot) {
+  for (const double extinction : {1e-4, 1e4})
+    for (const float albedo : {0.0f, 1.0f})
+      for (const float g : {0.0f, 0.9f}) {
+        BaseVolume v = layer({4, 3, 3}, Vec3f::Constant(static_cast<float>(extinction)), Vec3f::Constant(albedo), g, 1);
+        v.free[0] = v.free[5] = 1;
+        IrradianceOptions options;
+        options.directions = {2, 3};
+        options.paths = 40;
+        IrradianceReport report;
+        const ShellTexture t = trace_irradiance(v, options, &report);
+        for (const Vec3f& value : t.multiple) ASSERT_TRUE(value.allFinite() && value.minCoeff() >= 0);
+        for (const Vec3f& value : t.single) ASSERT_TRUE(value.allFinite() && value.minCoeff() >= 0);
+        double balance = 0;
+        for (int l = 0; l < 6; ++l) {
+          const DirectionBalance& b = report.balance[l];
+          balance += (b.absorbed + b.left_above + b.left_below) / 6;
+          if (albedo == 0) {
+            double most = 0;
+            for (std::size_t k = 0; k < v.voxel_count(); ++k)
+              most = std::max(most, static_cast<double>(t.multiple[t.at(l, k)].maxCoeff()));
+            EXPECT_EQ(most, 0);  // index 1: nothing is mirrored, nothing scatters
+          }
+        }
+        EXPECT_NEAR(balance, 1, 0.15) << extinction << ' ' << albedo << ' ' << g;
+      }
+  IrradianceOptions options;
+  const BaseVolume one = layer({1, 1, 1}, Vec3f::Ones(), Vec3f::Constant(0.9f), 0, 1.3);
+  const ShellTexture t = trace_irradiance(one, options);
+  EXPECT_GT(t.multiple[0].minCoeff(), 0);
+  EXPECT_GT(t.below[0].minCoeff(), 0);
+}
+
+TEST(IrradianceTracing, SurfacesMayHaveSeveralIndices) {
+  BaseVolume v = layer({8, 4, 3}, Vec3f::Ones(), Vec3f::Zero(), 0, 1.5);
+  v.surface_ior.assign(v.voxel_count(), 0.0f);
+  for (int k = 0; k < 32; ++k) v.surface_ior[k] = k % 8 < 4 ? 1.5f : 1.1f;
+  IrradianceOptions options;
+  options.directions = {3, 4};
+  const ShellTexture t = trace_irradiance(v, options);
+  for (const int x : {1, 5}) {
+    const double cosine = options.directions.direction(0).z();
+    const BoundaryMeeting meeting = meet_boundary(cosine, x == 1 ? 1.5 : static_cast<double>(1.1f));
+    const double sigma = 1 / meeting.cosine_beyond;
+    const double expected =
+        (1 - meeting.reflectance) * cosine / meeting.cosine_beyond * (1 - std::exp(-0.5 * sigma)) / (0.5 * sigma);
+    EXPECT_NEAR(t.single[t.at(0, 8 + x)][0], expected, 0.02 * expected) << x;
+  }
 }
 
 TEST(IrradianceTracing, RefusesWhatNoMatterHas) {
