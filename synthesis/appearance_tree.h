@@ -52,8 +52,41 @@ class AppearanceTree {
     }
   }
 
+  // The `count` nearest of all that are nearer than `bound`, nearest first. Returns how many there are.
+  template <class Allowed>
+  int nearest_few(const Point& query, const Allowed& allowed, float bound, int count, std::int32_t* indices) const {
+    std::array<float, few> distances;
+    int found = 0;
+    const auto limit = [&] { return found < count ? bound : distances[found - 1]; };
+    std::array<std::pair<float, std::int32_t>, 128> stack;
+    int depth = 0;
+    stack[depth++] = {0.0f, root_};
+    while (depth > 0) {
+      const auto [least, at] = stack[--depth];
+      if (!(least < limit())) continue;
+      if (at >= 0) {
+        push_children(nodes_[at], squared_distances(nodes_[at], query), limit(), stack, depth);
+        continue;
+      }
+      const Leaf& leaf = leaves_[~at];
+      const LeafDistances squared = squared_distances(leaf, query);
+      if (!(squared.minCoeff() < limit())) continue;
+      for (int slot = 0; slot < leaf_size; ++slot) {
+        if (!(squared[slot] < limit()) || leaf.index[slot] < 0 || !allowed(leaf.index[slot])) continue;
+        int place = found < count ? found++ : found - 1;
+        for (; place > 0 && distances[place - 1] > squared[slot]; --place)
+          distances[place] = distances[place - 1], indices[place] = indices[place - 1];
+        distances[place] = squared[slot];
+        indices[place] = leaf.index[slot];
+      }
+    }
+    return found;
+  }
+  static constexpr int few = 16;  // the greatest `count`
+
  private:
   static constexpr int leaf_size = 16, children = 8;
+  using LeafDistances = Eigen::Array<float, leaf_size, 1>;
   using Boxes = Eigen::Array<float, children, 1>;
   struct Node {
     Boxes lower[dimension], upper[dimension];
@@ -139,11 +172,28 @@ class AppearanceTree {
     return sum * (1 - 1e-5f);
   }
 
+  static LeafDistances squared_distances(const Leaf& leaf, const Point& query) {
+    LeafDistances squared = (leaf.component[0] - query[0]).square();
+    for (int d = 1; d < dimension; ++d) squared += (leaf.component[d] - query[d]).square();
+    return squared;
+  }
+
+  // The nearest child last.
+  template <class Stack>
+  static void push_children(const Node& node, const Boxes& bounds, float limit, Stack& stack, int& depth) {
+    const int first = depth;
+    for (int c = 0; c < children; ++c) {
+      if (!(bounds[c] < limit)) continue;
+      int place = depth++;
+      for (; place > first && stack[place - 1].first < bounds[c]; --place) stack[place] = stack[place - 1];
+      stack[place] = {bounds[c], node.child[c]};
+    }
+  }
+
   template <class Allowed>
   static void search(const Leaf& leaf, const Point& query, const Allowed& allowed, float& distance,
                      std::int32_t& index) {
-    Eigen::Array<float, leaf_size, 1> squared = (leaf.component[0] - query[0]).square();
-    for (int d = 1; d < dimension; ++d) squared += (leaf.component[d] - query[d]).square();
+    const LeafDistances squared = squared_distances(leaf, query);
     if (!(squared.minCoeff() <= distance)) return;
     for (int slot = 0; slot < leaf_size; ++slot) {
       const std::int32_t found = leaf.index[slot];

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -152,35 +151,6 @@ SurfacePaint transfer_paint(const AttributedMesh& painted, const TriangleMesh& s
         fmt::format("{}: is not painted on this surface: half of it is more than {:.3g} mm off", name, median));
   if (fit) *fit = {moved, median, *std::max_element(distance.begin(), distance.end())};
   return paint;
-}
-
-LostAreas find_lost_areas(const TriangleMesh& surface, const std::vector<std::int32_t>& wanted,
-                          const std::vector<std::int32_t>& got) {
-  // Each vertex points towards the lowest vertex of its area.
-  std::vector<int> towards(wanted.size());
-  std::iota(towards.begin(), towards.end(), 0);
-  const auto area_of = [&](int v) {
-    while (towards[v] != v) v = towards[v] = towards[towards[v]];
-    return v;
-  };
-  for (int f = 0; f < surface.face_count(); ++f)
-    for (int k = 0; k < 3; ++k) {
-      const int a = surface.faces(f, k), b = surface.faces(f, (k + 1) % 3);
-      if (wanted[a] != wanted[b]) continue;
-      const int from = area_of(a), to = area_of(b);
-      towards[std::max(from, to)] = std::min(from, to);
-    }
-  std::vector<int> vertices(wanted.size(), 0), kept(wanted.size(), 0);
-  for (std::size_t v = 0; v < wanted.size(); ++v) {
-    const int area = area_of(static_cast<int>(v));
-    ++vertices[area];
-    kept[area] += got[v] == wanted[v];
-  }
-  LostAreas lost;
-  for (std::size_t v = 0; v < wanted.size(); ++v)
-    if (vertices[v] > 0 && 10 * kept[v] < vertices[v])
-      ++lost.areas, lost.vertices += vertices[v], lost.largest = std::max(lost.largest, vertices[v]);
-  return lost;
 }
 
 }  // namespace shellgrid

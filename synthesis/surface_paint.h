@@ -22,16 +22,6 @@ struct PaintFit {
 SurfacePaint transfer_paint(const AttributedMesh& painted, const TriangleMesh& surface, int sample_count,
                             const std::string& name, PaintFit* fit = nullptr);
 
-// Connected areas in which one sample is wanted and less than a tenth of the vertices carries it.
-struct LostAreas {
-  int areas = 0, vertices = 0;  // how many, and vertices in all of them
-  int largest = 0;              // vertices
-};
-
-// wanted, got: of each vertex a sample.
-LostAreas find_lost_areas(const TriangleMesh& surface, const std::vector<std::int32_t>& wanted,
-                          const std::vector<std::int32_t>& got);
-
 // Throws: InputError where nothing is painted, or a value is not finite or out of range.
 void require_paint(const AttributedMesh& painted, int sample_count, const std::string& name);
 

@@ -1,18 +1,21 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "synthesis/surface_synthesis.h"
 
+#include <fmt/format.h>
+
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <queue>
+#include <optional>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "meshing/core/random.h"
 #include "meshing/surface/direction_field.h"
+#include "synthesis/sample_areas.h"
 #include "synthesis/synthesis_level.h"
 #include "synthesis/texton_sweep.h"
 #include "synthesis/window_optimization.h"
@@ -22,7 +25,6 @@ namespace {
 
 constexpr int slots = SynthesisLevel::slots;
 constexpr float reach_texels = 1.5f;  // how near continuations must agree to count as one patch, texels of the level
-constexpr float never = std::numeric_limits<float>::infinity();
 
 // An appearance vector lies in one vector register.
 using Appearance = Eigen::Array<float, TextonSet::dimension, 1>;
@@ -31,7 +33,9 @@ class Synthesizer {
  public:
   Synthesizer(const TextonSet& textons, SurfaceTexture& result, const SynthesisOptions& options)
       : textons_(textons), layers_(textons.layers), result_(result), options_(options) {
-    find_reluctance();
+    if (layers_.sample_count > 1)
+      areas_.emplace(result.surface, options.paint.sample, layers_.sample_count, options.blend_width * textons.voxel,
+                     options.blend_cost);
   }
 
   void run(Progress& progress) {
@@ -65,59 +69,45 @@ class Synthesizer {
               group.size(), [&](std::size_t i) { correct(level, l, group[i]); }, 64);
         relax(level, l);
       }
-      if (l == 0) {
-        comparisons_ += optimize_windows(
-            result_.surface, hierarchy.levels[0], textons_, options_.window_passes,
-            options_.method == SynthesisMethod::exhaustive,
-            [&](std::int32_t v, int sample) { return reluctance(v, sample) < never; }, place_);
-        measure_coherence(level);
-      }
+      comparisons_ += optimize_windows(
+          result_.surface, hierarchy.levels[l], level, l, textons_,
+          {.passes = options_.window_passes, .exhaustive = options_.method == SynthesisMethod::exhaustive},
+          [&](std::int32_t v, int sample) { return price(v, sample) < SampleAreas::never; }, place_);
+      if (l == 0) measure_coherence(level);
       progress.advance();
     }
     write_result();
+    if (areas_) warn_of_narrow_areas(progress);
     progress.end();
   }
 
  private:
-  // What a vertex pays for each sample: 0 for its own, more the farther its area is, endless beyond the border's width.
-  void find_reluctance() {
-    const std::vector<std::int32_t>& wanted = options_.paint.sample;
-    if (layers_.sample_count == 1) return;
-    const TriangleMesh& mesh = result_.surface.mesh;
-    const HalfEdges& half_edges = result_.surface.half_edges;
-    const int n = mesh.vertex_count(), samples = layers_.sample_count;
-    const double width = options_.blend_width * textons_.voxel;
-    reluctance_.assign(static_cast<std::size_t>(n) * samples, never);
-    for (int s = 0; s < samples; ++s) {
-      std::vector<double> distance(n, 1e300);
-      using Entry = std::pair<double, std::int32_t>;
-      std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
-      for (int v = 0; v < n; ++v)
-        if (wanted[v] == s) distance[v] = 0, queue.emplace(0.0, v);
-      while (!queue.empty()) {
-        const auto [d, v] = queue.top();
-        queue.pop();
-        if (d > distance[v]) continue;
-        const double share = width > 0 ? d / width : 0;
-        reluctance_[static_cast<std::size_t>(v) * samples + s] =
-            static_cast<float>(options_.blend_cost * share * share);
-        const auto relax_edge = [&](std::int32_t w) {
-          const double length = d + (mesh.vertex(w) - mesh.vertex(v)).norm();
-          if (length <= width && length < distance[w]) distance[w] = length, queue.emplace(length, w);
-        };
-        half_edges.for_each_outgoing(v, [&](std::int32_t h) {
-          relax_edge(HalfEdges::to(mesh, h));
-          relax_edge(HalfEdges::from(mesh, HalfEdges::previous(h)));
-        });
-      }
+  // Areas of which nothing is farther from their border than another sample may come.
+  void warn_of_narrow_areas(Progress& progress) const {
+    int count = 0;
+    long vertices = 0, others = 0;
+    double surface = 0;
+    for (const PaintedArea& area : areas_->list()) {
+      if (area.depth >= options_.blend_width * textons_.voxel) continue;
+      ++count;
+      surface += area.surface;
+      vertices += static_cast<long>(area.vertices.size());
+      for (std::int32_t v : area.vertices) others += result_.sample[v] != area.sample;
     }
-  }
-  float reluctance(std::int32_t v, int sample) const {
-    return reluctance_.empty() ? 0.0f : reluctance_[static_cast<std::size_t>(v) * layers_.sample_count + sample];
+    if (10 * others <= vertices) return;
+    progress.warn(
+        fmt::format("{} painted area{}, {:.3g} mm² in all, narrower than {:g} texels ({:.3g} mm): {:.0f} % of {} "
+                    "surface carries another "
+                    "sample than painted there",
+                    count, count == 1 ? " is" : "s are", surface, 2 * options_.blend_width,
+                    2 * options_.blend_width * textons_.voxel,
+                    100.0 * static_cast<double>(others) / static_cast<double>(vertices), count == 1 ? "its" : "their"));
   }
 
+  float price(std::int32_t v, int sample) const { return areas_ ? areas_->price(v, sample) : 0.0f; }
+
   float appearance_variance(int l) const {
-    if (reluctance_.empty()) return 0;
+    if (!areas_) return 0;
     const std::vector<float>& appearance = textons_.levels[l].appearance;
     Appearance sum = Appearance::Zero(), squares = Appearance::Zero();
     for (int t = 0; t < textons_.texel_count(); ++t) {
@@ -139,7 +129,7 @@ class Synthesizer {
     for (std::int32_t v : level.vertices) {
       RandomStream random(hash64(options_.seed, 51), static_cast<std::uint64_t>(v));
       const double u = random.next(), t = random.next();
-      int layer = reluctance_.empty() ? 0 : options_.paint.sample[v];
+      int layer = !areas_ ? 0 : options_.paint.sample[v];
       place_[v] = {layer, layers_.wrap(layer, Vec2f(static_cast<float>(u * layers_[layer].width),
                                                     static_cast<float>(t * layers_[layer].height)))};
     }
@@ -199,11 +189,11 @@ class Synthesizer {
     float best_distance = std::numeric_limits<float>::max();
     LayerPlace best = place_[v];
     long compared = 0;
-    const float price = appearance_scale_ * static_cast<float>(used);
+    const float variance = appearance_scale_ * static_cast<float>(used);
     const auto consider = [&](int layer_index, int tx, int ty, const Vec2f& fraction, float penalty) {
       const SampleLayer& layer = layers_[layer_index];
       ++compared;
-      float distance = reluctance_.empty() ? 0.0f : price * reluctance(v, layer.sample);
+      float distance = variance * price(v, layer.sample);
       if (!(distance * penalty < best_distance)) return;
       for (int s = 0; s < used; ++s) {
         int x = tx + shifts[s].x, y = ty + shifts[s].y;
@@ -308,8 +298,8 @@ class Synthesizer {
   const SampleLayers& layers_;
   SurfaceTexture& result_;
   const SynthesisOptions& options_;
-  std::vector<LayerPlace> place_;  // of each vertex
-  std::vector<float> reluctance_;  // n×samples; empty with one sample
+  std::vector<LayerPlace> place_;     // of each vertex
+  std::optional<SampleAreas> areas_;  // of several samples
   float appearance_scale_ = 0;
   std::atomic<long> comparisons_ = 0;
 };

@@ -18,20 +18,20 @@ struct SurfacePaint {
 
 enum class SynthesisMethod {
   coherence,   // coherent candidates in appearance space, coarse to fine
-  exhaustive,  // the same, but every texel is a candidate: the yardstick of the candidates' choice
+  exhaustive,  // the same, rounds of windows included, but every texel is a candidate: the yardstick of their choice
   textons,  // the paper's sweep, see sweep_textons; passes, jitter, penalties and paint of samples have no part in it
 };
 
 struct SynthesisOptions {
   SynthesisMethod method = SynthesisMethod::coherence;
-  int neighbourhood = 7;                    // of the paper's sweep: places across
-  int coarse_passes = 6;                    // correction passes at the coarsest level
-  int passes = 2;                           // at each finer level
-  int final_passes = 4;                     // at the finest
-  double jitter = 0.4;                      // of upsampled coordinates, in texels of the level
-  int least_jitter_level = 2;               // finer levels are not jittered
-  int relaxation_sweeps = 2;                // of coordinates within a patch, after each correction pass
-  int window_passes = 4;                    // then rounds of discrete optimisation of windows, see optimize_windows
+  int neighbourhood = 7;       // of the paper's sweep: places across
+  int coarse_passes = 6;       // correction passes at the coarsest level
+  int passes = 1;              // at each finer level
+  int final_passes = 1;        // at the finest
+  double jitter = 0.4;         // of upsampled coordinates, in texels of the level
+  int least_jitter_level = 2;  // finer levels are not jittered
+  int relaxation_sweeps = 2;   // of coordinates within a patch, after each correction pass
+  int window_passes = 3;       // then rounds of discrete optimisation of windows at every level, see optimize_windows
   double incoherence_penalty = 1;           // factor on the distance of candidates that do not continue a neighbour
   double turn_penalty = 1.3;                // a further factor for those that are turned
   Vec3 direction = Vec3(0, 1, 0);           // the texture's u runs this way where the surface allows

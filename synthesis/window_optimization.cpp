@@ -5,11 +5,10 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <numeric>
-#include <optional>
 
 #include "meshing/core/parallel.h"
-#include "synthesis/appearance_tree.h"
+#include "synthesis/sample_symmetry.h"
+#include "synthesis/window_index.h"
 
 namespace shellgrid {
 namespace {
@@ -17,7 +16,8 @@ namespace {
 // What a window elsewhere, and a texel that another window says, must be better by, in variances: without these, texels
 // that look the same would be shuffled.
 constexpr float move_cost = 0.01f, change_cost = 0.03f;
-constexpr float search_bound = 0.05f;  // windows that differ by less, in variances, are near enough
+constexpr float search_bound = 0.02f;  // windows that differ by less, in variances, are near enough
+constexpr int nearest_count = 4;
 constexpr int reach = 2, across = 2 * reach + 1, places = across * across, centre = places / 2;
 
 using Features = Eigen::Array<float, TextonSet::dimension, 1>;
@@ -26,28 +26,39 @@ Vec2f window_place(int k) { return {static_cast<float>(k % across - reach), stat
 
 class WindowOptimizer {
  public:
-  WindowOptimizer(const TexturedSurface& surface, const VertexHierarchy::Level& finest, const TextonSet& textons,
-                  const std::function<bool(std::int32_t, int)>& allowed, bool exhaustive,
-                  std::vector<LayerPlace>& place)
+  WindowOptimizer(const TexturedSurface& surface, const VertexHierarchy::Level& level, const SynthesisLevel& near,
+                  int l, const TextonSet& textons, const WindowOptions& options,
+                  const std::function<bool(std::int32_t, int)>& allowed, std::vector<LayerPlace>& place)
       : textons_(textons),
         layers_(textons.layers),
         allowed_(allowed),
-        exhaustive_(exhaustive),
+        options_(options),
+        vertices_(level.vertices),
+        l_(l),
+        step_(1 << l),
         place_(place),
         windows_(place) {
-    neighbours_.resize(place.size() * places);
+    neighbours_.resize(vertices_.size() * places);
+    std::array<int, SynthesisLevel::slots> slot_place;
+    std::array<bool, places> known{};
+    for (int s = 0; s < SynthesisLevel::slots; ++s) {
+      const Vec2f& offset = SynthesisLevel::offsets[s];
+      slot_place[s] = centre + across * static_cast<int>(offset.y()) + static_cast<int>(offset.x());
+      known[slot_place[s]] = true;
+    }
     parallel_for(
-        place.size(),
-        [&](std::size_t v) {
+        vertices_.size(),
+        [&](std::size_t i) {
+          TangentNeighbour* around = &neighbours_[i * places];
+          around[centre].vertex = vertices_[i];
+          for (int s = 0; s < SynthesisLevel::slots; ++s) around[slot_place[s]] = near.neighbour(i, s);
           for (int k = 0; k < places; ++k)
-            if (k != centre)
-              neighbours_[v * places + k] =
-                  find_tangent_neighbour(surface, finest, static_cast<int>(v), window_place(k).cast<double>(),
-                                         textons.voxel, layers_.symmetry);
-            else
-              neighbours_[v * places + k].vertex = static_cast<std::int32_t>(v);
+            if (k != centre && !known[k])
+              around[k] = find_tangent_neighbour(surface, level, vertices_[i], step_ * window_place(k).cast<double>(),
+                                                 textons.voxel, layers_.symmetry);
         },
         64);
+    find_features();
     Features mean = Features::Zero(), squares = Features::Zero();
     for (int t = 0; t < layers_.base_texel_count(); ++t) mean += features(t), squares += features(t).square();
     variance_ = (squares / layers_.base_texel_count() - (mean / layers_.base_texel_count()).square()).sum();
@@ -56,24 +67,43 @@ class WindowOptimizer {
   }
 
   long run(int passes) {
-    index_windows();
-    std::vector<LayerPlace> next(place_.size());
+    index_.emplace(layers_, places, [&](const SampleLayer& layer, int at, auto row) { gather_window(layer, at, row); });
+    std::vector<LayerPlace> next_window(windows_), next(place_);
     shown_.resize(place_.size());
+    window_changed_.assign(place_.size(), 1);
+    shown_changed_.assign(place_.size(), 1);
     for (int pass = 0; pass < passes; ++pass) {
-      parallel_for(place_.size(), [&](std::size_t v) { shown_[v] = layers_.texel(place_[v]); });
+      parallel_for(vertices_.size(), [&](std::size_t i) {
+        const std::int32_t v = vertices_[i], texel = layers_.texel(place_[v]);
+        shown_changed_[v] = pass == 0 || shown_[v] != texel;
+        shown_[v] = texel;
+      });
       parallel_for(
-          place_.size(), [&](std::size_t v) { next[v] = nearest_window(v); }, 64);
-      windows_.swap(next);
+          vertices_.size(),
+          [&](std::size_t i) {
+            const std::int32_t v = vertices_[i];
+            bool dirty = pass == 0;
+            const TangentNeighbour* around = &neighbours_[i * places];
+            for (int k = 0; k < places && !dirty; ++k)
+              dirty = around[k].vertex >= 0 && (shown_changed_[around[k].vertex] || window_changed_[around[k].vertex]);
+            next_window[v] = dirty ? nearest_window(i) : windows_[v];
+          },
+          64);
+      parallel_for(vertices_.size(), [&](std::size_t i) {
+        const std::int32_t v = vertices_[i];
+        window_changed_[v] = next_window[v].layer != windows_[v].layer || next_window[v].at != windows_[v].at;
+        windows_[v] = next_window[v];
+      });
       parallel_for(
-          place_.size(), [&](std::size_t v) { next[v] = nearest_to_mean(v); }, 64);
-      place_.swap(next);
+          vertices_.size(), [&](std::size_t i) { next[vertices_[i]] = nearest_to_mean(i); }, 64);
+      parallel_for(vertices_.size(), [&](std::size_t i) { place_[vertices_[i]] = next[vertices_[i]]; });
     }
     return comparisons_;
   }
 
  private:
   Eigen::Map<const Features> features(std::int32_t texel) const {
-    return Eigen::Map<const Features>(&textons_.features[static_cast<std::size_t>(texel) * TextonSet::dimension]);
+    return Eigen::Map<const Features>(&features_[static_cast<std::size_t>(texel) * TextonSet::dimension]);
   }
   LayerPlace continued(const TangentNeighbour& neighbour, const LayerPlace& there) const {
     LayerPlace from = layers_.turned(there, -neighbour.turn);
@@ -81,44 +111,32 @@ class WindowOptimizer {
     return from;
   }
 
+  void find_features() {
+    features_ = textons_.features;
+    if (l_ == 0) return;
+    for (const SampleLayer& layer : layers_.list) {
+      Eigen::Map<RowMatrixf> rows(&features_[static_cast<std::size_t>(layer.first) * TextonSet::dimension],
+                                  layer.texel_count(), TextonSet::dimension);
+      for (int step = 1; step < step_; step *= 2) rows = blur_maps(RowMatrixf(rows), layer.width, layer.height, step);
+    }
+  }
+
   // A row of the features around a texel, each times the root of its weight.
   template <class Row>
   void gather_window(const SampleLayer& layer, int at, Row&& row) const {
     const int x = at % layer.width, y = at / layer.width;
     for (int k = 0; k < places; ++k) {
-      const int sx = ((x + k % across - reach) % layer.width + layer.width) % layer.width;
-      const int sy = ((y + k / across - reach) % layer.height + layer.height) % layer.height;
+      const int sx = ((x + (k % across - reach) * step_) % layer.width + layer.width) % layer.width;
+      const int sy = ((y + (k / across - reach) * step_) % layer.height + layer.height) % layer.height;
       row.segment(k * TextonSet::dimension, TextonSet::dimension) =
           std::sqrt(weight_[k]) * features(layer.first + sy * layer.width + sx).matrix().transpose();
     }
   }
 
-  // The principal components of the samples' windows, and a tree of all layers'.
-  void index_windows() {
-    RowMatrixf rows(layers_.base_texel_count(), places * TextonSet::dimension);
-    RowMatrixf reduced(layers_.texel_count(), AppearanceTree::dimension);
-    for (int l = 0; l < layers_.size(); ++l) {
-      const SampleLayer& layer = layers_[l];
-      const int first = l < layers_.sample_count ? layer.first : 0;
-      parallel_for(layer.texel_count(), [&](std::size_t at) {
-        gather_window(layer, static_cast<int>(at), rows.row(first + static_cast<Eigen::Index>(at)));
-      });
-      if (l + 1 == layers_.sample_count) {
-        components_ = find_principal_components(rows, AppearanceTree::dimension);
-        reduced.topRows(rows.rows()) = project(rows, components_);
-      } else if (l >= layers_.sample_count) {
-        reduced.middleRows(layer.first, layer.texel_count()) = project(rows.topRows(layer.texel_count()), components_);
-      }
-    }
-    reduced_ = std::move(reduced);
-    std::vector<std::int32_t> all(layers_.texel_count());
-    std::iota(all.begin(), all.end(), 0);
-    tree_.emplace(reduced_, std::move(all));
-  }
-
   // The place whose window in the sample is most like that of the vertex.
-  LayerPlace nearest_window(std::size_t v) {
-    const TangentNeighbour* around = &neighbours_[v * places];
+  LayerPlace nearest_window(std::size_t position) {
+    const std::int32_t v = vertices_[position];
+    const TangentNeighbour* around = &neighbours_[position * places];
     std::array<Features, places> wanted;
     std::array<int, places> used;
     int count = 0;
@@ -135,19 +153,22 @@ class WindowOptimizer {
     const std::int32_t own = layers_.texel(windows_[v]);
     std::array<std::int32_t, 64> seen;
     int seen_count = 0;
+    const float unit = variance_ * total_weight_;
     const auto consider = [&](int layer_index, std::int32_t texel, const Vec2f& fraction) {
       for (int i = 0; i < seen_count; ++i)
         if (seen[i] == texel) return;
       if (seen_count < static_cast<int>(seen.size())) seen[seen_count++] = texel;
       const SampleLayer& layer = layers_[layer_index];
-      if (!allowed_(static_cast<std::int32_t>(v), layer.sample)) return;
+      if (!allowed_(v, layer.sample)) return;
       ++compared;
       const int tx = (texel - layer.first) % layer.width, ty = (texel - layer.first) / layer.width;
-      float distance = texel != own ? move_cost * variance_ * total_weight_ : 0.0f;
+      float distance = (texel != own ? move_cost * unit : 0.0f);
       for (int i = 0; i < count; ++i) {
-        int x = tx + used[i] % across - reach, y = ty + used[i] / across - reach;
-        x += x < 0 ? layer.width : x >= layer.width ? -layer.width : 0;
-        y += y < 0 ? layer.height : y >= layer.height ? -layer.height : 0;
+        int x = tx + (used[i] % across - reach) * step_, y = ty + (used[i] / across - reach) * step_;
+        while (x < 0) x += layer.width;
+        while (x >= layer.width) x -= layer.width;
+        while (y < 0) y += layer.height;
+        while (y >= layer.height) y -= layer.height;
         distance += weight_[used[i]] * (wanted[i] - features(layer.first + y * layer.width + x)).square().sum();
         if (distance >= best_distance) return;
       }
@@ -163,35 +184,33 @@ class WindowOptimizer {
       if (k != centre && around[k].vertex >= 0) consider_place(continued(around[k], windows_[around[k].vertex]));
     const LayerPlace from = best;
     const Vec2f fraction = from.at - from.at.array().floor().matrix();
-    const std::int32_t* candidates = textons_.levels[0].candidates.data() +
+    const std::int32_t* candidates = textons_.levels[l_].candidates.data() +
                                      static_cast<std::size_t>(layers_.texel(from)) * textons_.candidates_each();
     for (int k = 0; k < textons_.candidates_each(); ++k)
       if (candidates[k] >= 0) consider(layers_.layer_of(candidates[k]), candidates[k], fraction);
-    // Where no candidate fits, the window of all that is nearest in its principal components is one more.
-    if (best_distance > search_bound * variance_ * total_weight_ && count == places) {
-      AppearanceTree::Point query = -(components_.mean * components_.basis).transpose().array();
+    // Where no candidate fits, the windows of all that are nearest in their principal components are some more.
+    if (best_distance > search_bound * unit && count == places) {
+      WindowIndex::Point query = index_->origin();
       for (int i = 0; i < places; ++i)
-        query += std::sqrt(weight_[used[i]]) *
-                 (components_.basis.middleRows(used[i] * TextonSet::dimension, TextonSet::dimension).transpose() *
-                  wanted[i].matrix())
-                     .array();
-      float distance = std::numeric_limits<float>::max();
-      std::int32_t nearest = std::numeric_limits<std::int32_t>::max();
+        index_->contribute(used[i], Features(std::sqrt(weight_[used[i]]) * wanted[i]), query);
+      std::array<std::int32_t, AppearanceTree::few> nearest;
       const auto may_be = [&](std::int32_t t) {
-        return layers_.sample_count == 1 || allowed_(static_cast<std::int32_t>(v), layers_[layers_.layer_of(t)].sample);
+        return layers_.sample_count == 1 || allowed_(v, layers_[layers_.layer_of(t)].sample);
       };
-      tree_->nearest(query, may_be, distance, nearest);
-      if (nearest < layers_.texel_count()) consider(layers_.layer_of(nearest), nearest, fraction);
+      const int found =
+          index_->tree().nearest_few(query, may_be, best_distance - move_cost * unit, nearest_count, nearest.data());
+      for (int i = 0; i < found; ++i) consider(layers_.layer_of(nearest[i]), nearest[i], Vec2f(0.5f, 0.5f));
     }
-    for (std::int32_t t = 0; exhaustive_ && t < layers_.texel_count(); ++t)
+    for (std::int32_t t = 0; options_.exhaustive && t < layers_.texel_count(); ++t)
       consider(layers_.layer_of(t), t, Vec2f(0.5f, 0.5f));
     comparisons_.fetch_add(compared, std::memory_order_relaxed);
     return best;
   }
 
   // Of what the windows around say, the nearest to their mean.
-  LayerPlace nearest_to_mean(std::size_t v) const {
-    const TangentNeighbour* around = &neighbours_[v * places];
+  LayerPlace nearest_to_mean(std::size_t position) const {
+    const std::int32_t v = vertices_[position];
+    const TangentNeighbour* around = &neighbours_[position * places];
     std::array<LayerPlace, places> said;
     std::array<std::int32_t, places> texels;
     int count = 0;
@@ -201,7 +220,7 @@ class WindowOptimizer {
       const int k = (centre + i) % places;
       if (around[k].vertex < 0) continue;
       said[count] = k == centre ? windows_[v] : continued(around[k], windows_[around[k].vertex]);
-      if (!allowed_(static_cast<std::int32_t>(v), layers_[said[count].layer].sample)) continue;
+      if (!allowed_(v, layers_[said[count].layer].sample)) continue;
       texels[count] = layers_.texel(said[count]);
       sum += weight_[k] * features(texels[count++]);
       total += weight_[k];
@@ -220,25 +239,28 @@ class WindowOptimizer {
   const TextonSet& textons_;
   const SampleLayers& layers_;
   const std::function<bool(std::int32_t, int)>& allowed_;
-  const bool exhaustive_;
+  const WindowOptions options_;
+  const std::vector<std::int32_t>& vertices_;
+  const int l_, step_;
   std::vector<LayerPlace>& place_;
-  std::vector<LayerPlace> windows_;           // n: where in the sample the vertex's window is
-  std::vector<std::int32_t> shown_;           // n: texel of the vertex's place
-  std::vector<TangentNeighbour> neighbours_;  // n·25
+  std::vector<LayerPlace> windows_;  // n: where in the sample the vertex's window is
+  std::vector<std::int32_t> shown_;  // n: texel of the vertex's place
+  std::vector<char> shown_changed_, window_changed_;
+  std::vector<TangentNeighbour> neighbours_;  // 25 for each vertex of the level
+  std::vector<float> features_;
   std::array<float, places> weight_;
-  PrincipalComponents components_;
-  RowMatrixf reduced_;
-  std::optional<AppearanceTree> tree_;
+  std::optional<WindowIndex> index_;
   std::atomic<long> comparisons_ = 0;
   float variance_ = 0, total_weight_ = 0;
 };
 
 }  // namespace
 
-long optimize_windows(const TexturedSurface& surface, const VertexHierarchy::Level& finest, const TextonSet& textons,
-                      int passes, bool exhaustive, const std::function<bool(std::int32_t, int)>& allowed,
-                      std::vector<LayerPlace>& place) {
-  return passes > 0 ? WindowOptimizer(surface, finest, textons, allowed, exhaustive, place).run(passes) : 0;
+long optimize_windows(const TexturedSurface& surface, const VertexHierarchy::Level& level,
+                      const SynthesisLevel& neighbours, int l, const TextonSet& textons, const WindowOptions& options,
+                      const std::function<bool(std::int32_t, int)>& allowed, std::vector<LayerPlace>& place) {
+  if (options.passes <= 0) return 0;
+  return WindowOptimizer(surface, level, neighbours, l, textons, options, allowed, place).run(options.passes);
 }
 
 }  // namespace shellgrid

@@ -42,16 +42,10 @@ std::vector<double> shares_of(const std::vector<std::int32_t>& sample, int count
   return shares;
 }
 
-void warn_of_lost_samples(const TriangleMesh& surface, const std::vector<std::int32_t>& wanted,
-                          const std::vector<std::int32_t>& got, int count, Progress& progress) {
+void warn_of_unwanted_samples(const std::vector<std::int32_t>& wanted, int count, Progress& progress) {
   for (int s = 0; s < count; ++s)
     if (std::find(wanted.begin(), wanted.end(), s) == wanted.end())
       progress.warn(fmt::format("sample {} is painted nowhere", s));
-  if (const LostAreas lost = find_lost_areas(surface, wanted, got); lost.areas > 0)
-    progress.warn(fmt::format(
-        "{} of the painted areas did not stay, {} of {} vertices, the largest of {}: they want to be wider than "
-        "about eight texels",
-        lost.areas, lost.vertices, wanted.size(), lost.largest));
 }
 
 }  // namespace
@@ -82,8 +76,8 @@ int main(int argc, char** argv) {
                       "where it must run otherwise: point and direction x,y,z,dx,dy,dz, and so on", -1e9, 1e9);
   program.option("--passes", options.passes, "", "correction passes at each level but the finest", 0, 100);
   program.option("--final-passes", options.final_passes, "", "correction passes at the finest level", 0, 100);
-  program.option("--window-passes", options.window_passes, "", "then rounds of discrete optimisation of 5x5 windows", 0,
-                 100);
+  program.option("--window-passes", options.window_passes, "",
+                 "then rounds of discrete optimisation of 5x5 windows, at every level", 0, 100);
   program.option("--relaxation", options.relaxation_sweeps, "", "smoothing sweeps within patches after each pass", 0,
                  100);
   program.option("--jitter", options.jitter, "texels", "random shift of coordinates at coarse levels", 0, 10);
@@ -141,8 +135,7 @@ int main(int argc, char** argv) {
                        {"tiling", w.tiling}});
     const std::vector<double> shares = shares_of(texture.sample, textons.layers.sample_count);
     if (textons.layers.sample_count > 1)
-      warn_of_lost_samples(surface.mesh, options.paint.sample, texture.sample, textons.layers.sample_count,
-                           run.progress());
+      warn_of_unwanted_samples(options.paint.sample, textons.layers.sample_count, run.progress());
     run.results() = {{"vertices", texture.coordinate.size()},
                      {"level_vertices", levels},
                      {"sample_shares", shares},

@@ -182,7 +182,7 @@ class Chain(unittest.TestCase):
             paint("wrong.ply", icosphere(3, 6.0), lambda p: p[2] > 5.9)
             done = run(*grow)
             self.assertEqual(done.returncode, 0, done.stderr)
-            self.assertRegex(done.stderr, r"1 of the painted areas did not stay, \d+ of \d+ vertices")
+            self.assertRegex(done.stderr, r"1 painted area is, [\d.]+ mm² in all, narrower than 8 texels \(4 mm\): \d+ % of its")
             paint("wrong.ply", icosphere(3, 6.0), lambda p: 1)
             self.assertIn("sample 0 is painted nowhere", run(*grow).stderr)
             # A tenth larger and off the middle: laid onto the surface, not taken as it lies.
@@ -232,14 +232,6 @@ class Chain(unittest.TestCase):
             tiny = run("sample", self.at("sample.vdb"), "-o", out, "--voxel", 1e-6)
             self.assertEqual(tiny.returncode, 3)
             self.assertIn("a voxel of 1e-06 mm is too small for an OpenVDB file", tiny.stderr)
-
-    def test_shipped_samples_pass_their_checks(self):
-        with workplace() as folder:
-            for name in sorted(os.listdir(os.path.join(SOURCE, "assets", "samples"))):
-                if name.endswith(".json"):
-                    done = run("sample", os.path.join(SOURCE, "assets", "samples", name), "-o",
-                               os.path.join(folder, "sample.vdb"), "--strict")
-                    self.assertEqual(done.returncode, 0, name + ": " + done.stderr)
 
     def test_checks_warn_and_strict_fails(self):
         with workplace() as folder:

@@ -322,6 +322,43 @@ TEST(SurfaceSynthesis, SamplesKeepToTheirAreasAndMeetInTheBorder) {
   EXPECT_THROW(synthesize_surface(mesh, textons, options), InputError);
 }
 
+// A stripe three texels wide lies wholly within reach of the other sample, yet stays where it is deepest.
+TEST(SurfaceSynthesis, NarrowPaintedAreasKeepTheirMiddlesAndLossesAreTold) {
+  class Listener : public Progress {
+   public:
+    void warn(const std::string& message) override { warnings.push_back(message); }
+    std::vector<std::string> warnings;
+  };
+  const MaterialSample first = make_procedural_sample(testing::cells(48)),
+                       second = make_procedural_sample(testing::spots(40));
+  TextonOptions textons_options;
+  textons_options.texton_count = 40;
+  const TextonSet textons = make_textons({&first, &second}, textons_options);
+  const TriangleMesh mesh = testing::patch(60, textons.voxel);
+  SynthesisOptions options;
+  const auto paint_stripe = [&](int texels) {
+    options.paint.sample.clear();
+    for (int v = 0; v < mesh.vertex_count(); ++v) options.paint.sample.push_back(2 * std::abs(v % 61 - 30) < texels);
+  };
+  paint_stripe(5);
+  Listener narrow;
+  SurfaceTexture texture = synthesize_surface(mesh, textons, options, narrow);
+  for (int y = 0; y <= 60; ++y) EXPECT_EQ(texture.sample[61 * y + 30], 1) << y;
+  ASSERT_EQ(narrow.warnings.size(), 1u);
+  EXPECT_NE(narrow.warnings[0].find("1 painted area is"), std::string::npos) << narrow.warnings[0];
+  EXPECT_NE(narrow.warnings[0].find("8 texels"), std::string::npos) << narrow.warnings[0];
+  paint_stripe(21);
+  Listener wide;
+  synthesize_surface(mesh, textons, options, wide);
+  EXPECT_TRUE(wide.warnings.empty());
+  paint_stripe(5);
+  options.blend_width = 0;
+  Listener exact;
+  texture = synthesize_surface(mesh, textons, options, exact);
+  EXPECT_TRUE(texture.sample == options.paint.sample);
+  EXPECT_TRUE(exact.warnings.empty());
+}
+
 TEST(SurfaceSynthesis, ScaleAndDirectionsFollowThePaint) {
   const TextonSet textons = marble_textons(48);
   const TriangleMesh mesh = testing::patch(60, 0.4);
