@@ -105,8 +105,12 @@ double mean_distance(const ClosestPointQuery& query, const TriangleMesh& surface
 
 }  // namespace
 
-void require_paint(const AttributedMesh& painted, int sample_count, const std::string& name) {
+void require_paint(const AttributedMesh& painted, int sample_count, const std::string& name, double scale) {
   const PaintedValues values(painted, sample_count, name);
+  for (std::size_t v = 0; values.scale && v < values.scale->size(); ++v)
+    if (const double product = scale * static_cast<double>((*values.scale)[v]); !(product >= 0.25 && product <= 4))
+      throw InputError(fmt::format("{}: the scale {} of vertex {} times {:.4g} is out of range; expected 0.25 to 4",
+                                   name, (*values.scale)[v], v, scale));
 }
 
 SurfacePaint transfer_paint(const AttributedMesh& painted, const TriangleMesh& surface, int sample_count,

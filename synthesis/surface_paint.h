@@ -22,7 +22,8 @@ struct PaintFit {
 SurfacePaint transfer_paint(const AttributedMesh& painted, const TriangleMesh& surface, int sample_count,
                             const std::string& name, PaintFit* fit = nullptr);
 
-// Throws: InputError where nothing is painted, or a value is not finite or out of range.
-void require_paint(const AttributedMesh& painted, int sample_count, const std::string& name);
+// Throws: InputError where nothing is painted, or a value is not finite or out of range; also a painted scale times
+// `scale`.
+void require_paint(const AttributedMesh& painted, int sample_count, const std::string& name, double scale = 1);
 
 }  // namespace shellgrid

@@ -502,7 +502,7 @@ void find_samples(SceneCase& c, Plan& plan) {
   c.paint = ExternalFile{"paint", shell.paint};
   plan.read.push_back(shell.paint);
   try {
-    require_paint(read_mesh(shell.paint), static_cast<int>(shell.samples.size()), shell.paint);
+    require_paint(read_mesh(shell.paint), static_cast<int>(shell.samples.size()), shell.paint, shell.scale);
   } catch (const InputError& error) {
     throw InputError(c.scene.path + ": material.shell.paint: " + error.what());
   }

@@ -105,9 +105,11 @@ int main(int argc, char** argv) {
     if (voxel > 0) textons.voxel = voxel;
     options.seed = run.seed();
     PaintFit fit;
-    if (!paint_path.empty())
-      options.paint =
-          transfer_paint(read_mesh(paint_path), surface.mesh, textons.layers.sample_count, paint_path, &fit);
+    if (!paint_path.empty()) {
+      const AttributedMesh painted = read_mesh(paint_path);
+      require_paint(painted, textons.layers.sample_count, paint_path, scale);
+      options.paint = transfer_paint(painted, surface.mesh, textons.layers.sample_count, paint_path, &fit);
+    }
     warn_of_distance(fit, surface.mesh, paint_path, run.progress());
     if (scale != 1) {
       options.paint.scale.resize(surface.mesh.vertex_count(), 1.0f);

@@ -213,9 +213,10 @@ class PlanTest(unittest.TestCase):
             self.assertEqual((done.returncode, done.stderr.count("\n")), (3, 1), done.stderr)
             self.assertIn("material.shell.paint: ", done.stderr)
             self.assertIn(words, done.stderr)
-        self.content["material"]["shell"]["sample"] = "marble.json"
+        self.content["material"]["shell"].update(sample="marble.json", scale=3)
         self.put_scene()
         for lines, properties, words in [
+                (["0 0 0 1", "1 0 0 2", "0 1 0 1"], "property float scale", "the scale 2 of vertex 1 times 3 is out of range"),
                 (["0 0 0", "1 0 0", "0 1 0"], "", "nothing is painted"),
                 (["0 0 0 0", "1 0 0 1", "0 1 0 1"], "property float sample", "vertex 1 wants sample 1, but there is one")]:
             self.put_paint(lines, properties)
