@@ -129,7 +129,8 @@ void DescriptionSection::finish() const {
 
 void DescriptionSection::fail(const std::string& key, const std::string& what) const {
   const std::string place = key.empty() ? place_ : place_of(key);
-  throw InputError(fmt::format("{}: {}: {}", file_, place.empty() ? "the description" : place, what));
+  throw InputError(
+      fmt::format("{}: {}: {}", file_, one_line(place.empty() ? "the description" : place), one_line(what)));
 }
 
 void DescriptionSection::refuse(const std::string& what) const { throw InputError(file_ + ": " + what); }

@@ -49,7 +49,7 @@ class Checker {
   }
 
   [[noreturn]] void fail(const std::string& place, const std::string& what) const {
-    throw InputError(path_ + ": " + (place.empty() ? "the scene" : place) + ": " + what);
+    throw InputError(path_ + ": " + one_line((place.empty() ? "the scene" : place) + ": " + what));
   }
 
  private:

@@ -8,6 +8,7 @@
 #include "pipeline/scene/scene.h"
 #include "synthesis/procedural_sample.h"
 #include "synthesis/sample_archive.h"
+#include "synthesis/surface_paint.h"
 #include "tests/meshing/formats/format_shapes.h"
 
 namespace shellgrid {
@@ -29,6 +30,35 @@ TEST(DamagedScene, SurvivesDamage) {
   read_scene(path);
   expect_survives_damage(
       path, [&] { read_scene(path); }, 150, 3000);
+}
+
+TEST(DamagedScene, SurvivesDamageOfSamplesPaintAndCore) {
+  const TemporaryFolder folder;
+  for (const char* file : {"a.json", "b.vdb", "p.ply"}) write_raw(folder / file, "{}\n");
+  const std::string path = folder / "scene.json";
+  write_raw(path,
+            R"({"material": {"shell": {"sample": ["a.json", "b.vdb"], "paint": "p.ply", "scale": 0.5, "symmetry": 2,
+    "synthesis": "coherence", "coordinates": "nearest", "direction": [1, 0, 0],
+    "orient": [{"point": [1, 2, 3], "direction": [0, 0, 2]}]}, "core": {"sample": "b.vdb"}}})");
+  EXPECT_EQ(read_scene(path).material->shell->samples.size(), 2u);
+  expect_survives_damage(
+      path, [&] { read_scene(path); }, 150, 3000);
+}
+
+TEST(DamagedPaint, SurvivesDamage) {
+  const TemporaryFolder folder;
+  const std::string path = folder / "painted.ply";
+  const TriangleMesh surface = octahedron();
+  AttributedMesh painted{surface, {}};
+  const auto count = static_cast<std::size_t>(surface.vertex_count());
+  painted.properties = {{"sample", std::vector<float>(count, 1)}, {"scale", std::vector<float>(count, 0.5f)}};
+  for (const char* name : {"direction_x", "direction_y", "direction_z"})
+    painted.properties.push_back({name, std::vector<float>(count, 1)});
+  write_ply(path, painted);
+  const auto lay = [&] { return transfer_paint(read_mesh(path), surface, 2, path); };
+  EXPECT_EQ(lay().sample, std::vector<std::int32_t>(count, 1));
+  expect_survives_damage(
+      path, [&] { lay(); }, 50, 2000);
 }
 
 TEST(DamagedSampleDescription, SurvivesDamage) {
