@@ -222,52 +222,73 @@ AttributedMesh view_textons(const TextonSet& textons) {
   return view;
 }
 
+namespace {
+
+// What is seen from above a vertex.
+struct Seen {
+  Material material;
+  float light = 1;
+  bool found = false;  // within the shell's thickness; else the core is shown
+};
+
+bool has_relief(const ShellVolume& shell) {
+  bool relief = false;
+  shell.kind.for_each_active([&](int, int, int, std::int32_t kind) { relief = relief || kind == 0; });
+  return relief;
+}
+
+// The first voxel with matter below the vertex; where there is relief, darker on slopes and deep down.
+Seen look_below(const TexturedMesh& mesh, const ShellVolume& shell, bool relief, int v) {
+  const Vec3 normal = mesh.normals.row(v).transpose();
+  const double layers = shell.thickness / shell.frame.voxel;
+  Seen seen{shell.core};
+  for (double depth = 0.75; depth < layers && !seen.found; depth += 0.5) {
+    const Vec3 p = shell.frame.to_index(mesh.mesh.vertex(v)) - depth * normal;
+    const Vec3i base = p.array().floor().matrix().cast<int>();
+    Vec3i at = base;
+    double best = 1e300;
+    for (int corner = 0; corner < 8; ++corner) {
+      const Vec3i near = base + Vec3i(corner & 1, corner >> 1 & 1, corner >> 2);
+      const double distance = (near.cast<double>() - p).squaredNorm();
+      if (distance < best && shell.extinction.is_active(near.x(), near.y(), near.z())) best = distance, at = near;
+    }
+    if (best > 1e299 || shell.kind.value(at.x(), at.y(), at.z()) == 0) continue;
+    seen.found = true;
+    seen.material = {shell.extinction.value(at.x(), at.y(), at.z()).array(),
+                     shell.albedo.value(at.x(), at.y(), at.z()).array(),
+                     shell.anisotropy.value(at.x(), at.y(), at.z()).array()};
+    if (relief) {
+      const Vec3 own = shell.normal.value(at.x(), at.y(), at.z()).cast<double>();
+      const double slope = own.norm() > 0.5 ? std::max(0.0, own.dot(normal)) : 1;
+      seen.light = static_cast<float>((0.35 + 0.65 * slope) * (1 - 0.5 * depth / layers));
+    }
+  }
+  return seen;
+}
+
+}  // namespace
+
 AttributedMesh view_shell(const TexturedMesh& mesh, const ShellVolume& shell) {
   AttributedMesh view;
   view.mesh = mesh.mesh;
   const ReflectanceInversion half_space(ReflectanceModel::transport, shell.ior);
-  bool relief = false;
-  shell.kind.for_each_active([&](int, int, int, std::int32_t kind) { relief = relief || kind == 0; });
-  struct Seen {
-    Material material;
-    float light = 1;
-  };
-  // The first voxel with matter below the vertex; where there is relief, darker on slopes and deep down.
-  const auto below = [&](int v) {
-    const Vec3 normal = mesh.normals.row(v).transpose();
-    const double layers = shell.thickness / shell.frame.voxel;
-    Seen seen{shell.core};
-    for (double depth = 0.75; depth < layers; depth += 0.5) {
-      const Vec3 p = shell.frame.to_index(mesh.mesh.vertex(v)) - depth * normal;
-      const Vec3i base = p.array().floor().matrix().cast<int>();
-      Vec3i at = base;
-      double best = 1e300;
-      for (int corner = 0; corner < 8; ++corner) {
-        const Vec3i near = base + Vec3i(corner & 1, corner >> 1 & 1, corner >> 2);
-        const double distance = (near.cast<double>() - p).squaredNorm();
-        if (distance < best && shell.extinction.is_active(near.x(), near.y(), near.z())) best = distance, at = near;
-      }
-      if (best > 1e299 || shell.kind.value(at.x(), at.y(), at.z()) == 0) continue;
-      seen.material = {shell.extinction.value(at.x(), at.y(), at.z()).array(),
-                       shell.albedo.value(at.x(), at.y(), at.z()).array(),
-                       shell.anisotropy.value(at.x(), at.y(), at.z()).array()};
-      if (relief) {
-        const Vec3 own = shell.normal.value(at.x(), at.y(), at.z()).cast<double>();
-        const double slope = own.norm() > 0.5 ? std::max(0.0, own.dot(normal)) : 1;
-        seen.light = static_cast<float>((0.35 + 0.65 * slope) * (1 - 0.5 * depth / layers));
-      }
-      break;
-    }
-    return seen;
-  };
+  const bool relief = has_relief(shell);
   add_colors(
       view,
       [&](int v) {
-        const Seen seen = below(v);
+        const Seen seen = look_below(mesh, shell, relief, v);
         return Vec3f(display_color(seen.light * half_space.color(seen.material)).matrix());
       },
-      [&](int v) { return below(v).material.reduced_extinction()[1]; });
+      [&](int v) { return look_below(mesh, shell, relief, v).material.reduced_extinction()[1]; });
   return view;
+}
+
+double share_without_matter(const TexturedMesh& mesh, const ShellVolume& shell) {
+  if (!has_relief(shell) || mesh.mesh.vertex_count() == 0) return 0;
+  const auto count = static_cast<std::size_t>(mesh.mesh.vertex_count());
+  const double bare = parallel_sum(
+      count, 0.0, [&](std::size_t v) { return look_below(mesh, shell, true, static_cast<int>(v)).found ? 0.0 : 1.0; });
+  return bare / static_cast<double>(count);
 }
 
 }  // namespace shellgrid

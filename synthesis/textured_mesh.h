@@ -25,4 +25,8 @@ AttributedMesh view_textons(const TextonSet& textons);
 // extinction there (green), mm⁻¹.
 AttributedMesh view_shell(const TexturedMesh& mesh, const ShellVolume& shell);
 
+// Share of the vertices below which the shell, with relief, holds free space down to its bottom: where the object is
+// thinner than the relief is deep, and where the sample has holes.
+double share_without_matter(const TexturedMesh& mesh, const ShellVolume& shell);
+
 }  // namespace shellgrid

@@ -180,6 +180,12 @@ int main(int argc, char** argv) {
           "the sample's surface has refractive indices of its own; the shell carries them (surface_ior), but light "
           "meets "
           "the object's one index everywhere");
+    const double bare = share_without_matter(mesh, shell);
+    if (bare > 0.002)
+      run.progress().warn(
+          fmt::format("below {:.2g} % of the surface the shell holds no matter: the object is thinner there than the "
+                      "sample's relief is deep; make the relief lower or the object larger",
+                      100 * bare));
     run.start_timer("write");
     write_shell_volume(run.output(), shell);
     const std::string view = view_path(run.output());
@@ -190,6 +196,7 @@ int main(int argc, char** argv) {
                      {"possible_leaves", s.possible_leaves},
                      {"voxels", s.voxels},
                      {"free_space_voxels", s.free_voxels},
+                     {"share_without_matter", bare},
                      {"bytes", s.bytes},
                      {"dense_bytes", s.possible_leaves * 512 * 64},
                      {"skipped_share_of_leaves", 1 - static_cast<double>(s.leaves) / s.possible_leaves},

@@ -111,6 +111,25 @@ class Chain(unittest.TestCase):
             self.refused(run("synthesize", self.at("surface.ply"), self.at("textons.vdb"), "-o", out, "--orient",
                              "0,0,6,0,0,1"), 3, "across the surface")
 
+    def test_an_object_thinner_than_the_relief_is_told(self):
+        with workplace() as folder:
+            def out(name):
+                return os.path.join(folder, name)
+            write_json(out("bumps.json"), {"type": "bumps", "size": [32, 32], "voxel": 0.5, "thickness": 4, "radius": 1.2,
+                                           "lift": 0.5, "count": 8, "materials": {"body": BODY, "bump": VEIN}})
+            write_off(out("ball.off"), icosphere(3, 1.0))
+            self.assertEqual(run("sample", out("bumps.json"), "-o", out("bumps.vdb")).returncode, 0)
+            self.assertEqual(run("textons", out("bumps.vdb"), "-o", out("t.vdb")).returncode, 0)
+            for radius, told in ((1.8, True), (6, False)):
+                for arguments in (("prepare", out("ball.off"), "-o", out("s.ply"), "--size", 2 * radius, "--spacing", 0.5),
+                                  ("distance", out("s.ply"), "-o", out("d.vdb"), "--voxel", 0.5, "--inside", 5),
+                                  ("synthesize", out("s.ply"), out("t.vdb"), "-o", out("y.ply"))):
+                    self.assertEqual(run(*arguments).returncode, 0)
+                done = run("shell", out("y.ply"), out("d.vdb"), out("bumps.vdb"), "-o", out("shell.vdb"), "--thickness", 4)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                (self.assertIn if told else self.assertNotIn)("% of the surface the shell holds no matter", done.stderr)
+                self.assertEqual(record(out("shell.vdb"))["results"]["share_without_matter"] > 0.3, told)
+
     def test_triangles_that_do_not_hang_together_are_told(self):
         with workplace() as folder:
             points, faces = icosphere(3, 3.3)
