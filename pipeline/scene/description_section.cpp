@@ -136,7 +136,14 @@ void DescriptionSection::fail(const std::string& key, const std::string& what) c
 void DescriptionSection::refuse(const std::string& what) const { throw InputError(file_ + ": " + what); }
 
 std::string DescriptionSection::file(const std::string& name) const {
-  return (std::filesystem::path(file_).parent_path() / name).string();
+  namespace fs = std::filesystem;
+  std::error_code error;
+  // A scene's Makefile calls a description whose name is not plain by a link.
+  if (fs::is_symlink(file_, error)) {
+    const fs::path beside_target = fs::canonical(file_, error).parent_path() / name;
+    if (!error && fs::exists(beside_target, error)) return beside_target.string();
+  }
+  return (fs::path(file_).parent_path() / name).string();
 }
 
 double DescriptionSection::check(const std::string& key, const json& value, double least, double most) const {

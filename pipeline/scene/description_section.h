@@ -42,7 +42,7 @@ class DescriptionSection {
   // The index that materials given by their reflectance are looked at with; sections below take it over.
   void set_ior(double ior) { ior_ = ior; }
   double ior() const { return ior_; }
-  // A path of the description, relative to its folder.
+  // A path of the description, relative to its folder; where it is reached by a link, that of the file itself.
   std::string file(const std::string& name) const;
 
  private:

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
@@ -168,6 +169,10 @@ int main(int argc, char** argv) {
     for (std::size_t k = 0; samples.size() > 1 && k < samples.size(); ++k)
       if (std::find(mesh.sample.begin(), mesh.sample.end(), static_cast<std::int32_t>(k)) == mesh.sample.end())
         run.progress().warn(fmt::format("no vertex carries sample {}, {}", k, sample_paths[k]));
+    for (std::size_t k = 1; k < samples.size(); ++k)
+      if (std::abs(samples[k].ior - samples.front().ior) > 1e-6)
+        run.progress().warn(fmt::format("{} was made for the refractive index {:.4g}; that of {}, {:.4g}, counts",
+                                        sample_paths[k], samples[k].ior, sample_paths.front(), samples.front().ior));
     int layers = samples.front().size.z();
     for (const MaterialSample& sample : samples) layers = std::min(layers, sample.size.z());
     if (const double depth = layers * samples.front().voxel; depth < thickness * (1 - 1e-6))

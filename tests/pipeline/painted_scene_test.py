@@ -68,6 +68,24 @@ class PaintedSceneTest(WorkplaceTest):
         self.assertIn("is not painted on this surface", complaint)
         self.assertFalse(os.path.exists(self.at("out", ".done", "synthesize")))
 
+    def test_a_sample_of_any_name_finds_its_files(self):
+        """Make calls it by a link in another folder."""
+        for folder in ("first $(x)", "second"):
+            os.mkdir(self.at(folder))
+            values = bytes(range(120)) * 32 if folder == "second" else bytes(3840)
+            with open(self.at(folder, "volume.raw"), "wb") as file:
+                file.write(values)
+            write_json(self.at(folder, "a sample.json"), {
+                "type": "volume", "file": "volume.raw", "raw": {"size": [24, 32, 5]}, "spacing": 0.5, "mirror": True,
+                "classes": [{"value": 0, "material": BODY}, {"value": 120, "material": SPOT}]})
+        self.content["material"]["shell"]["sample"] = [os.path.join(folder, "a sample.json") for folder in ("first $(x)", "second")]
+        self.content["material"]["core"] = "bottom-layer"
+        self.paint("ball.off", "sample = z > 0")
+        self.make("textons.vdb")
+        spread = [max(record(self.at("out", name))["results"]["class_shares"]) for name in ("sample.vdb", "sample-2.vdb")]
+        self.assertEqual(spread[0], 1)
+        self.assertLess(spread[1], 1)
+
     def test_the_shipped_scene_is_planned(self):
         with open(os.path.join(SOURCE, "assets", "scenes", "painted-bunny.json")) as file:
             content = json.loads("".join(line for line in file if not line.startswith("//")))

@@ -184,6 +184,9 @@ class Chain(unittest.TestCase):
             self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--core", "solid"), 2, "--core-sample")
             done = run(*inputs, out("plain.vdb"), out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2)
             self.assertIn("no vertex carries sample 2, ", done.stderr)
+            self.assertEqual(run("sample", out("plain.vdb"), "-o", out("dense.vdb"), "--ior", 1.6).returncode, 0)
+            done = run(*inputs, out("dense.vdb"), "-o", out("shell.vdb"), "--thickness", 2)
+            self.assertIn("dense.vdb was made for the refractive index 1.6; that of ", done.stderr)
             inputs[1] = self.at("synthesized.ply")
             self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2), 3, "carries one sample")
             # Painted on another shape, or where there is no room.
