@@ -212,6 +212,9 @@ std::string safe_name(const fs::path& file, const fs::path& folder, const std::s
 
 void write_plan_folder(const Plan& plan, const std::string& folder, const std::string& executables) {
   const fs::path root(folder);
+  std::error_code error;
+  if (fs::exists(root / "Makefile", error) && !read_text((root / "Makefile").string()).starts_with(makefile_beginning))
+    throw InputError((root / "Makefile").string() + ": is not sg-plan's; give the scene a folder of its own");
   make_folder(root / "plan");
   make_folder(root / ".done");
   std::map<std::string, std::string> names;  // of external files, as the Makefile writes them

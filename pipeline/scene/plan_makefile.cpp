@@ -30,8 +30,8 @@ std::string command(const PlannedStage& stage, const std::map<std::string, std::
 std::string plan_makefile(const Plan& plan, const std::map<std::string, std::string>& names,
                           const std::string& programs) {
   std::string text;
-  text +=
-      "# Written by sg-plan; plan/plan.json holds the same for machines. Run it by `make -C FOLDER [TARGET]`, where\n";
+  text += makefile_beginning;
+  text += " plan/plan.json holds the same for machines. Run it by `make -C FOLDER [TARGET]`, where\n";
   text += "# TARGET is any artefact, `all` (the picture), `views` or `report`. Options for every stage: FLAGS='-q'.\n";
   text += "#\n";
   text += "# Material: " + plan.material + ".\n";

@@ -7,6 +7,9 @@
 
 namespace shellgrid {
 
+// How every plan's Makefile begins.
+inline constexpr const char* makefile_beginning = "# Written by sg-plan;";
+
 // The text of a plan's Makefile. `names` gives for each "@file" of the stages' arguments the name by which Make and the
 // shell may call it, `programs` that of the programs' folder: plain characters only.
 // Throws: InternalError where a name is not plain.

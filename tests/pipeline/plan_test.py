@@ -222,6 +222,16 @@ class PlanTest(unittest.TestCase):
             self.put_paint(lines, properties)
             self.assertIn(words, self.plan().stderr)
 
+    def test_a_makefile_of_someone_elses_stays(self):
+        os.mkdir(self.out)
+        with open(self.artefact("Makefile"), "w") as file:
+            file.write("all:\n")
+        done = self.plan()
+        self.assertEqual((done.returncode, done.stderr.count("\n")), (3, 1))
+        self.assertIn("Makefile: is not sg-plan's; give the scene a folder of its own", done.stderr)
+        self.assertEqual(self.text("Makefile"), "all:\n")
+        self.assertEqual(os.listdir(self.out), ["Makefile"])
+
     def test_an_opaque_object_needs_no_diffusion(self):
         self.content["material"] = {"opaque": {"reflectance": 0.7}}
         self.put_scene()
