@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Light that goes to and fro between a shell and its core.
+#pragma once
+#include <array>
+#include <vector>
+
+#include "solvers/dipole/dual_tree.h"
+
+namespace shellgrid {
+
+// The core's surface as points, and what the shell does with light there.
+struct CoreSurface {
+  std::vector<Vec3f> points;          // mm
+  std::vector<float> areas;           // of the core's surface that each stands for, mm²; 0 where the core has ended
+  std::vector<Rgb> power;             // that comes down from the shell, lit from outside, W
+  std::vector<Rgb> shell_reflection;  // share of what leaves the core that comes down again; empty: none
+};
+
+struct CoreExchangeOptions {
+  DualTreeOptions sums;
+  // The paper's is 0: light that comes out of the core does not enter it again. Source: [STF §7].
+  int bounces = 12;         // at most
+  double tolerance = 2e-3;  // share of the exitance's integral that may be wrong by what is not followed further
+  // The share of its light that each point is to get back in all, that of a plane: a folded or thin core would return
+  // more, a small one, which the profile's far end misses, less; so each point's light is scaled, up to fourfold.
+  // White matter then returns all light, whatever its shape. Negative: not asked for, as in the paper.
+  std::array<double, 3> returned = {-1, -1, -1};
+};
+
+struct CoreExchange {
+  std::vector<Rgb> exitance;  // M of each point, into the shell, W mm⁻²
+  std::vector<Rgb> power;     // all that enters, with what has come down again, W
+  int bounces = 0;
+  double series_share = 0;        // of the exitance: what was added for bounces that were not followed
+  double greatest_return = 0;     // of any point and channel, over `returned`
+  DualTreeStatistics statistics;  // of the first sum
+};
+
+// M = K (P + R A M): K the profile's sum over the points, A their areas, R the shell's reflection. Bounces are summed
+// one by one, the rest as if the last one's ratio went on. Throws: InputError where lists do not match or hold what is
+// none, NumericalError where bounces do not shrink.
+CoreExchange exchange_core_light(const CoreSurface& surface, const RadialProfile& profile,
+                                 const CoreExchangeOptions& options = {});
+
+}  // namespace shellgrid
