@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/shell_texture/core_light.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+
+#include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "meshing/surface/closest_point.h"
+
+namespace shellgrid {
+
+namespace {
+
+// Of the thickness: from this distance to the surface on there is a core, and from this one on all of it.
+constexpr double ended = 0.7, whole = 0.9;
+
+}  // namespace
+
+CoreSurface core_surface(const IncidentLight& light, const ShellTextureLookup& texture,
+                         const std::vector<Vec2f>& coordinates, double thickness) {
+  const TexturedFrames& frames = light.frames();
+  const TriangleMesh& mesh = frames.mesh;
+  const auto n = static_cast<std::size_t>(mesh.vertex_count());
+  if (coordinates.size() != n) throw InputError("the surface's texture coordinates do not have its size");
+  if (!(thickness >= 0)) throw InputError("a shell's thickness is not negative");
+  CoreSurface surface;
+  surface.points.resize(n);
+  surface.areas.assign(n, 0.0f);
+  surface.power.resize(n);
+  surface.shell_reflection.resize(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    const int v = static_cast<int>(i);
+    surface.points[i] = (mesh.vertex(v) - thickness * frames.normals.row(v).transpose()).cast<float>();
+  }
+  // Where the shell is thicker than half the object, or than its radius of curvature, points come out near the surface
+  // again: there is no core.
+  const ClosestPointQuery query(mesh);
+  std::vector<float> there(n, 1.0f);
+  if (thickness > 0)
+    parallel_for(
+        n,
+        [&](std::size_t i) {
+          const Vec3 point = surface.points[i].cast<double>();
+          const double depth = (query.nearest(point, thickness).point - point).norm() / thickness;
+          there[i] = static_cast<float>(std::clamp((depth - ended) / (whole - ended), 0.0, 1.0));
+        },
+        64);
+  const auto area = [](const Vec3& a, const Vec3& b, const Vec3& c) -> Vec3 { return (b - a).cross(c - a) / 2; };
+  for (int f = 0; f < mesh.face_count(); ++f) {
+    const Vec3 above = area(mesh.corner(f, 0), mesh.corner(f, 1), mesh.corner(f, 2));
+    const auto point = [&](int k) -> Vec3 { return surface.points[mesh.faces(f, k)].cast<double>(); };
+    const double size = above.norm(), below = size > 0 ? area(point(0), point(1), point(2)).dot(above) / size : 0;
+    for (int k = 0; k < 3; ++k) surface.areas[mesh.faces(f, k)] += static_cast<float>(std::max(0.0, below) / 3);
+  }
+  for (std::size_t i = 0; i < n; ++i) surface.areas[i] *= there[i];
+  parallel_for(
+      n,
+      [&](std::size_t i) {
+        const Vec2f& at = coordinates[i];
+        const Vec3f down = texture.below(at.x(), at.y(), texture.prepare(light.at(static_cast<int>(i))));
+        surface.power[i] = down.array().max(0) * surface.areas[i];
+        surface.shell_reflection[i] = texture.below_of_back_light(at.x(), at.y()).array().max(0).min(1);
+      },
+      64);
+  return surface;
+}
+
+}  // namespace shellgrid

@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/shell_texture/shell_light.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "meshing/core/error.h"
+#include "solvers/transport/phase.h"
+
+namespace shellgrid {
+
+namespace {
+
+constexpr float pi = std::numbers::pi_v<float>;
+constexpr std::int32_t free_space_kind = 0;
+
+}  // namespace
+
+ShellLight::ShellLight(const ShellVolume& shell, const IncidentLight& incident, const ShellTextureLookup& texture,
+                       const std::vector<Rgb>& core, const ShellLightParts& parts)
+    : shell_(shell),
+      incident_(incident),
+      texture_(texture),
+      core_(core),
+      parts_(parts),
+      relative_ior_(shell.ior),
+      vertices_(incident.frames().mesh.vertices),
+      leaves_(static_cast<std::size_t>(shell.texture_coordinate.leaf_count())),
+      lights_(static_cast<std::size_t>(incident.frames().mesh.vertex_count())) {
+  if (!core.empty() && core.size() != lights_.size())
+    throw InputError("the core's exitance does not have the surface's size");
+}
+
+ShellLight::Counts ShellLight::counts() const {
+  return {voxels_, static_cast<std::int64_t>(owned_.size()), lit_vertices_};
+}
+
+ShellLight::Leaf& ShellLight::leaf(int leaf_index) const {
+  Leaf* found = leaves_[leaf_index].load(std::memory_order_acquire);
+  if (found) return *found;
+  const std::lock_guard lock(mutex_);
+  found = leaves_[leaf_index].load(std::memory_order_acquire);
+  if (!found) {
+    owned_.push_back(std::make_unique<Leaf>());
+    found = owned_.back().get();
+    leaves_[leaf_index].store(found, std::memory_order_release);
+  }
+  return *found;
+}
+
+Vec3 ShellLight::refracted_direction(int direction) const {
+  const Vec3 towards = texture_.directions().direction(direction);
+  const Vec3 within(towards.x() / relative_ior_, towards.y() / relative_ior_, 0);
+  return {within.x(), within.y(), std::sqrt(std::max(0.0, 1 - within.squaredNorm()))};
+}
+
+std::shared_ptr<const ShellLight::VertexLight> ShellLight::light_at(int vertex) const {
+  std::shared_ptr<const VertexLight> light = std::atomic_load(&lights_[vertex]);
+  if (light) return light;
+  auto made = std::make_shared<VertexLight>();
+  made->light = texture_.prepare(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
+  Vec3 sum = Vec3::Zero();
+  double weights = 0;
+  for (const DirectionWeight& one : made->light.list) {
+    const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();
+    sum += weight * refracted_direction(one.direction);
+    weights += weight;
+  }
+  if (weights > 0) made->towards = (sum / weights).cast<float>();
+  light = made;
+  std::shared_ptr<const VertexLight> none;
+  if (std::atomic_compare_exchange_strong(&lights_[vertex], &none, light)) ++lit_vertices_;
+  return light;
+}
+
+std::size_t ShellLight::sample_voxel(const Vec3f& place, Vec3f& offset) const {
+  const Vec3i& size = texture_.size();
+  const auto wrapped = [](int i, int n) { return ((i % n) + n) % n; };
+  const Vec3i at(static_cast<int>(std::floor(place.x())), static_cast<int>(std::floor(place.y())),
+                 std::clamp(static_cast<int>(std::floor(place.z())), 0, size.z() - 1));
+  offset = place - (at.cast<float>() + Vec3f::Constant(0.5f));
+  offset.z() = -offset.z();
+  return (static_cast<std::size_t>(at.z()) * size.y() + wrapped(at.y(), size.y())) * size.x() +
+         wrapped(at.x(), size.x());
+}
+
+ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const Vec3i& voxel,
+                                              ShellTextureReader& texture, int& vertex) const {
+  VoxelFluence value;
+  const std::int32_t kind = shell_.kind.leaf_values(leaf_index)[offset];
+  if (kind == free_space_kind || kind == core_voxel_kind) return value;
+  value.matter = true;
+  vertex = vertices_.nearest(shell_.frame.to_world(voxel), vertex);
+  value.vertex = vertex;
+  const Vec3f& place = shell_.texture_coordinate.leaf_values(leaf_index)[offset];
+  const std::shared_ptr<const VertexLight> light = light_at(vertex);
+  const std::size_t sampled = sample_voxel(place, value.offset);
+  value.whole = texture_.matter()[sampled] > 0.999f;
+  const VoxelLight around = texture.at(place, light->light);
+  value.multiple = around.multiple.array().max(0);
+  value.single = (value.whole ? texture.voxel_light(sampled, light->light).single : around.single).array().max(0);
+  // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
+  if (has_core()) value.multiple += 2 * core_[vertex] * texture.back(place).array().max(0);
+  ++voxels_;
+  return value;
+}
+
+ShellLight::VoxelFluence ShellLight::Reader::at(const Vec3i& voxel) {
+  const auto& grid = light_.shell_.texture_coordinate;
+  const int leaf_index = grid.find_leaf(TwoLevelGrid<Vec3f>::leaf_of(voxel.x(), voxel.y(), voxel.z()));
+  if (leaf_index < 0) return {};
+  const int offset = TwoLevelGrid<Vec3f>::offset_of(voxel.x(), voxel.y(), voxel.z());
+  if (!TwoLevelGrid<Vec3f>::mask_test(grid.leaf_mask(leaf_index), offset)) return {};
+  Leaf& leaf = light_.leaf(leaf_index);
+  if (leaf.flags[offset].load(std::memory_order_acquire) == 2) return leaf.values[offset];
+  const VoxelFluence value = light_.work_out(leaf_index, offset, voxel, *texture_, vertex_);
+  std::uint8_t unknown = 0;
+  if (leaf.flags[offset].compare_exchange_strong(unknown, 1)) {
+    leaf.values[offset] = value;
+    leaf.flags[offset].store(2, std::memory_order_release);
+  }
+  return value;
+}
+
+Rgb ShellLight::Reader::multiple(const Vec3& index, std::int32_t& vertex) {
+  const Vec3i low(static_cast<int>(std::floor(index.x())), static_cast<int>(std::floor(index.y())),
+                  static_cast<int>(std::floor(index.z())));
+  const Vec3f part = (index - low.cast<double>()).cast<float>();
+  Rgb sum = Rgb::Zero();
+  float weights = 0, greatest = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    const Vec3i step(corner & 1, corner >> 1 & 1, corner >> 2);
+    float weight = 1;
+    for (int a = 0; a < 3; ++a) weight *= step[a] ? part[a] : 1 - part[a];
+    if (!(weight > 0)) continue;
+    const VoxelFluence value = at(low + step);
+    if (!value.matter) continue;
+    sum += weight * value.multiple;
+    weights += weight;
+    if (weight > greatest) {
+      greatest = weight;
+      vertex = value.vertex;
+    }
+  }
+  return weights > 0 ? Rgb(sum / weights) : Rgb(Rgb::Zero());
+}
+
+Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3& direction, const Vec3f& anisotropy,
+                              const Rgb& extinction) {
+  const VoxelFluence value = at(voxel);
+  if (!value.matter || !light_.parts_.outside) return Rgb::Zero();
+  const std::shared_ptr<const VertexLight> light = light_.light_at(value.vertex);
+  const Mat3 frame = light_.incident_.frames().frame(value.vertex);
+  Rgb source;
+  if (anisotropy.cwiseAbs().maxCoeff() < static_cast<float>(isotropic_below)) {
+    source = value.single / (4 * pi);
+  } else {
+    if (value.vertex != phase_vertex_ || direction != phase_direction_ || anisotropy != phase_anisotropy_) {
+      phase_vertex_ = value.vertex;
+      phase_direction_ = direction;
+      phase_anisotropy_ = anisotropy;
+      const Vec3 seen = frame * direction;
+      std::vector<DirectionWeight> list = light->light.list;
+      for (DirectionWeight& one : list) {
+        const double cosine = light_.refracted_direction(one.direction).dot(seen);
+        for (int c = 0; c < 3; ++c)
+          one.weight[c] *= static_cast<float>(henyey_greenstein(static_cast<double>(anisotropy[c]), cosine)) / (2 * pi);
+      }
+      phase_light_ = light_.texture_.prepare(std::move(list));
+    }
+    Vec3f offset;
+    const Vec3f& place = light_.shell_.texture_coordinate.value(voxel.x(), voxel.y(), voxel.z());
+    source = (value.whole ? texture_->voxel_light(light_.sample_voxel(place, offset), phase_light_).single
+                          : texture_->at(place, phase_light_).single)
+                 .array()
+                 .max(0);
+  }
+  if (!value.whole) return source;
+  // e^{−σ s} over its mean in the voxel, s the way to the voxel's middle along the beam.
+  const Vec3f from_middle = value.offset + (frame * (index - voxel.cast<double>())).cast<float>();
+  const auto edge = static_cast<float>(light_.shell_.frame.voxel);
+  const float ahead = from_middle.dot(light->towards);
+  Rgb mean = Rgb::Ones();
+  for (int a = 0; a < 3; ++a) {
+    const Rgb half = extinction * (edge * light->towards[a] / 2), square = half.square();
+    mean *= (half.abs() > 2)
+                .select((half.abs().exp() - (-half.abs()).exp()) / (2 * half.abs().max(1e-6f)),
+                        1 + square / 6 * (1 + square / 20 * (1 + square / 42)));
+  }
+  return source * (extinction * (edge * ahead)).min(60.0f).exp() / mean;
+}
+
+}  // namespace shellgrid

@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// The light within a shell, voxel by voxel, worked out where it is asked for.
+#pragma once
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <vector>
+
+#include "meshing/shell/shell_volume.h"
+#include "meshing/surface/closest_point.h"
+#include "solvers/shell_texture/incident_light.h"
+
+namespace shellgrid {
+
+// Which parts of the light are wanted.
+struct ShellLightParts {
+  bool outside = true, core = true;
+};
+
+// Threads may share it; each asks through a reader of its own.
+class ShellLight {
+ public:
+  // core: exitance of the core below each vertex of the surface, or empty. All must outlive this. Throws: InputError
+  // where the core does not have the surface's size.
+  ShellLight(const ShellVolume& shell, const IncidentLight& incident, const ShellTextureLookup& texture,
+             const std::vector<Rgb>& core, const ShellLightParts& parts);
+
+  const ShellVolume& shell() const { return shell_; }
+  const Rgb& core_exitance(int vertex) const { return core_[vertex]; }
+  bool has_core() const { return !core_.empty() && parts_.core; }
+
+  struct Counts {
+    std::int64_t voxels = 0, leaves = 0, vertices = 0;
+  };
+  Counts counts() const;
+
+  // What light does to one voxel.
+  struct VoxelFluence {
+    Rgb multiple = Rgb::Zero();  // φ of scattered light and the core's, W mm⁻²
+    Rgb single = Rgb::Zero();    // φ of the refracted beams: the mean over the sample's voxel there
+    // From the middle of the sample's voxel to that of this one, in the sample's frame, z outwards, voxels.
+    Vec3f offset = Vec3f::Zero();
+    std::int32_t vertex = -1;  // of the surface, nearest
+    bool matter = false;
+    bool whole = false;  // the sample's voxel is all matter
+  };
+
+  class Reader {
+   public:
+    explicit Reader(const ShellLight& light) : light_(light), texture_(light.texture_.reader()) {}
+
+    // Voxel (i, j, k) of the shell's grid.
+    VoxelFluence at(const Vec3i& voxel);
+    // φ of the multiple kind about a point, by its grid coordinates: trilinear between voxels of matter. `vertex` is
+    // set to that of the nearest one. None where there is no matter.
+    Rgb multiple(const Vec3& index, std::int32_t& vertex);
+    // ∑ I_0 I_s p of the beams at a point of that voxel: what they scatter along −`direction`, a ray of sight. Within
+    // the voxel they fall as matter of its extinction lets them, so that the mean stays the table's.
+    Rgb beams(const Vec3i& voxel, const Vec3& index, const Vec3& direction, const Vec3f& anisotropy,
+              const Rgb& extinction);
+
+   private:
+    const ShellLight& light_;
+    std::unique_ptr<ShellTextureReader> texture_;
+    int vertex_ = -1;  // found last
+    // The last light that was weighted by a phase function.
+    int phase_vertex_ = -1;
+    Vec3 phase_direction_ = Vec3::Zero();
+    Vec3f phase_anisotropy_ = Vec3f::Zero();
+    PreparedLight phase_light_;
+  };
+
+ private:
+  static constexpr int leaf_size = TwoLevelGrid<Vec3f>::leaf_size;
+  // Values are written once, then their flag is set: 0 unknown, 1 being written, 2 there.
+  struct Leaf {
+    std::array<VoxelFluence, leaf_size> values;
+    std::array<std::atomic<std::uint8_t>, leaf_size> flags = {};
+  };
+
+  VoxelFluence work_out(int leaf_index, int offset, const Vec3i& voxel, ShellTextureReader& texture, int& vertex) const;
+  Leaf& leaf(int leaf_index) const;
+  struct VertexLight {
+    PreparedLight light;
+    Vec3f towards = Vec3f::Zero();  // mean direction of the refracted beams, in the sample's frame: shorter, if several
+  };
+  std::shared_ptr<const VertexLight> light_at(int vertex) const;
+  // The table's direction within matter below a smooth surface.
+  Vec3 refracted_direction(int direction) const;
+  std::size_t sample_voxel(const Vec3f& place, Vec3f& offset) const;
+
+  const ShellVolume& shell_;
+  const IncidentLight& incident_;
+  const ShellTextureLookup& texture_;
+  const std::vector<Rgb>& core_;
+  ShellLightParts parts_;
+  double relative_ior_;
+  NearestVertexQuery vertices_;
+  mutable std::vector<std::atomic<Leaf*>> leaves_;
+  mutable std::vector<std::unique_ptr<Leaf>> owned_;
+  mutable std::mutex mutex_;
+  mutable std::vector<std::shared_ptr<const VertexLight>> lights_;  // of vertices, read and written atomically
+  mutable std::atomic<std::int64_t> voxels_{0}, lit_vertices_{0};
+};
+
+}  // namespace shellgrid

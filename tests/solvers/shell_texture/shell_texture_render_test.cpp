@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/shell_texture/shell_texture_render.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <numbers>
+
+#include "meshing/core/error.h"
+#include "meshing/surface/half_edges.h"
+#include "solvers/scattering/fresnel.h"
+#include "solvers/shell_texture/core_light.h"
+#include "tests/support/closed_shapes.h"
+#include "tests/support/shell_shapes.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr double pi = std::numbers::pi;
+constexpr double radius = 40, thickness = 4, voxel = 0.5, ior = 1.3, sigma = 0.05, albedo = 0.8;
+// To the lower side of the deepest voxel that stands in the shell below the pole.
+constexpr double seen_thickness = 4.22;
+constexpr float single_value = 0.3f, multiple_value = 0.7f, back_value = 1.1f, below_value = 0.25f, returned = 0.4f;
+
+// A ball whose shell texture function is the same everywhere.
+struct Ball {
+  TriangleMesh mesh = shapes::sphere(radius, 5);
+  VertexMatrix normals = vertex_normals(mesh), directions;
+  ShellVolume shell;
+  std::unique_ptr<TransportObject> object;
+  std::unique_ptr<ShellTextureLookup> texture;
+  std::vector<Rgb> core;
+
+  explicit Ball(float anisotropy = 0) {
+    directions.resize(mesh.vertex_count(), 3);
+    for (int v = 0; v < mesh.vertex_count(); ++v) {
+      const Vec3 n = normals.row(v).transpose();
+      directions.row(v) = n.unitOrthogonal().transpose();
+    }
+    Material material;
+    material.extinction = Rgb::Constant(static_cast<float>(sigma));
+    material.albedo = Rgb::Constant(static_cast<float>(albedo));
+    material.anisotropy = Rgb::Constant(anisotropy);
+    shell = test::shell_of([](const Vec3& p) { return p.norm() - radius; }, radius, voxel, thickness, material,
+                           [&](const Vec3&, double) {
+                             return test::ShellVoxel{material, 1};
+                           });
+    shell.ior = ior;
+    object = std::make_unique<TransportObject>(mesh, shell, ior);
+    ShellTexture values;
+    values.size = Vec3i(2, 2, 8);
+    values.voxel = voxel;
+    const std::size_t voxels = 32, count = values.directions.count();
+    values.matter.assign(voxels, 1.0f);
+    values.single.assign(voxels * count, Vec3f::Constant(single_value));
+    values.multiple.assign(voxels * (count + 1), Vec3f::Constant(multiple_value));
+    std::fill(values.multiple.begin() + static_cast<std::ptrdiff_t>(voxels * count), values.multiple.end(),
+              Vec3f::Constant(back_value));
+    values.error.assign(values.multiple.size(), -1.0f);
+    values.below.assign(4 * (count + 1), Vec3f::Constant(below_value));
+    std::fill(values.below.begin() + static_cast<std::ptrdiff_t>(4 * count), values.below.end(),
+              Vec3f::Constant(returned));
+    texture = look_up_as_it_is(values);
+    core.assign(static_cast<std::size_t>(mesh.vertex_count()), Rgb(2, 3, 4));
+  }
+
+  TexturedFrames frames() const { return {mesh, normals, directions}; }
+  RenderedImage picture(const ShellTextureSettings& settings, ShellTextureStatistics* statistics = nullptr) const {
+    Camera camera;
+    camera.position = Vec3(0, 0, 200);
+    camera.fov = 2;
+    camera.width = camera.height = 9;
+    return render_shell_texture({*object, shell, frames(), *texture, core}, lights, camera, settings, statistics);
+  }
+  std::vector<Light> lights = {DirectionalLight{Vec3(0, 0, -1), Rgb(5, 6, 7)}};
+};
+
+double middle(const RenderedImage& picture, const std::string& layer) {
+  return static_cast<double>(picture.image.find(layer)->values[40]);
+}
+
+// What leaves straight ahead: light that the shell scatters, and the core behind it.
+double expected(int channel, bool outside, bool core, double phase = 1 / (4 * pi)) {
+  const double light = 5 + channel, exitance = 2 + channel, through = std::exp(-sigma * seen_thickness);
+  double radiance = 0;
+  if (outside)
+    radiance += albedo * (1 - through) * light *
+                (static_cast<double>(multiple_value) / (4 * pi) + static_cast<double>(single_value) * phase);
+  if (core)
+    radiance +=
+        albedo * (1 - through) * exitance * static_cast<double>(back_value) / (2 * pi) + through * exitance / pi;
+  return radiance * fresnel_transmittance(1, ior) / (ior * ior);
+}
+
+TEST(ShellTextureRender, MarchesThroughLightAndCore) {
+  const Ball ball;
+  for (const bool outside : {false, true})
+    for (const bool core : {false, true}) {
+      ShellTextureSettings settings;
+      settings.outside_light = outside;
+      settings.core_light = core;
+      ShellTextureStatistics statistics;
+      const RenderedImage picture = ball.picture(settings, &statistics);
+      const char* layers[] = {"exitance.R", "exitance.G", "exitance.B"};
+      for (int c = 0; c < 3; ++c) {
+        const double value = expected(c, outside, core);
+        EXPECT_NEAR(middle(picture, layers[c]), value, 0.02 * value + 1e-9) << outside << core << c;
+      }
+      // Most of the shell is out of sight.
+      EXPECT_GT(statistics.leaves_skipped, 20 * statistics.leaves_lit);
+      EXPECT_GT(statistics.march_steps, 0);
+    }
+}
+
+TEST(ShellTextureRender, ScattersBeamsByTheirPhaseFunction) {
+  const Ball ball(0.6f);
+  ShellTextureSettings settings;
+  settings.core_light = false;
+  // Straight back: the light comes along the ray of sight, to within the table's directions about the zenith.
+  const double back = (1 - 0.36) / (4 * pi * std::pow(1 + 0.36 + 1.2, 1.5));
+  EXPECT_NEAR(middle(ball.picture(settings), "exitance.G") / expected(1, true, false, back), 1, 0.03);
+}
+
+TEST(ShellTextureRender, LeavesOutWhatThePaperLeavesOut) {
+  const Ball ball;
+  ShellTextureSettings settings;
+  settings.outside_light = false;
+  settings.unscattered_core = false;
+  const double seen = std::exp(-sigma * seen_thickness) * 3 / pi * fresnel_transmittance(1, ior) / (ior * ior);
+  EXPECT_NEAR(middle(ball.picture(settings), "exitance.G") / (expected(1, false, true) - seen), 1, 0.02);
+}
+
+TEST(ShellTextureRender, RefusesCamerasInsideAndForeignCores) {
+  Ball ball;
+  Camera camera;
+  camera.position = Vec3(1, 2, 3);
+  EXPECT_THROW(render_shell_texture({*ball.object, ball.shell, ball.frames(), *ball.texture, ball.core}, ball.lights,
+                                    camera, {}),
+               InputError);
+  ball.core.pop_back();
+  EXPECT_THROW(ball.picture({}), InputError);
+}
+
+TEST(CoreLight, FallsOnTheCorePerArea) {
+  const Ball ball;
+  const SceneGeometry geometry(ball.mesh);
+  const IncidentLight light(ball.frames(), geometry, ball.lights, ball.texture->directions(), 64);
+  const std::vector<Vec2f> coordinates(static_cast<std::size_t>(ball.mesh.vertex_count()), Vec2f(0.3f, 0.9f));
+  const CoreSurface core = core_surface(light, *ball.texture, coordinates, thickness);
+  double area = 0;
+  for (int v = 0; v < ball.mesh.vertex_count(); ++v) {
+    area += static_cast<double>(core.areas[v]);
+    EXPECT_NEAR(static_cast<double>(core.points[v].norm()), radius - thickness, 1e-4);
+    const double cosine = ball.normals(v, 2);
+    EXPECT_NEAR(core.shell_reflection[v][0], returned, 1e-6);
+    // Lit in front, in its own shadow behind; between the lowest ring and the horizon the table fades.
+    if (cosine > 0.15) EXPECT_NEAR(core.power[v][1], 6 * below_value * core.areas[v], 1e-4 * core.areas[v]) << cosine;
+    if (cosine < -0.01) EXPECT_EQ(core.power[v][1], 0) << cosine;
+  }
+  EXPECT_NEAR(area / (4 * pi * 36 * 36), 1, 0.01);
+  // A shell as thick as the ball leaves no core.
+  const CoreSurface none = core_surface(light, *ball.texture, coordinates, 1.5 * radius);
+  for (const float a : none.areas) EXPECT_EQ(a, 0);
+}
+
+}  // namespace
+}  // namespace shellgrid
