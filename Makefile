@@ -30,9 +30,9 @@ MAKEOVERRIDES :=
 export SCENE OUT MESHES
 
 .DEFAULT_GOAL := image.png
-ARTEFACTS := all views report image.png image.exr exitance.ply reference.ply fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
+ARTEFACTS := all views report image.png image.exr exitance.ply reference.ply core.ply stf.vdb fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
   synthesized.ply textons.vdb sample.vdb core-sample.vdb $(foreach n,2 3 4 5 6 7 8,sample-$(n).vdb) distance.vdb surface.ply \
-  polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply distance.view.ply
+  polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply stf.view.ply distance.view.ply
 .PHONY: setup configure build programs test demo bench geometry-report synthesis-report diffusion-map docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:

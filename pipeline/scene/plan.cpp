@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <filesystem>
+#include <limits>
 #include <numbers>
 #include <optional>
 
@@ -26,6 +27,7 @@ namespace {
 using nlohmann::json;
 
 constexpr const char* diffusion_method = "polygrid-diffusion";
+constexpr const char* texture_method = "shell-texture-function";
 
 std::string millimetres(double length) { return number_text(length); }
 
@@ -172,6 +174,50 @@ std::string warn_of_diffusion(const Scene& scene) {
   return mildest;
 }
 
+// A shell texture function is that of one sample as it is, in a shell over a homogeneous core.
+void require_one_sample(const Scene& scene) {
+  const auto fail = [&](const std::string& what) {
+    throw InputError(scene.path + ": method.type: shell-texture-function " + what);
+  };
+  const SceneMaterial& material = *scene.material;
+  if (material.opaque) fail("is for translucent objects; this one is opaque");
+  if (!material.shell) fail("needs a material.shell; polygrid-diffusion or path-tracing serve a homogeneous object");
+  if (material.shell->samples.size() > 1) fail("takes one sample; polygrid-diffusion or path-tracing serve several");
+  if (!material.shell->paint.empty() || material.shell->scale != 1)
+    fail("takes samples at their own scale; leave material.shell.paint and scale out, or use polygrid-diffusion");
+  if (std::holds_alternative<ContinuedCore>(material.core))
+    fail("has a homogeneous core; expected coefficients or bottom-layer as material.core");
+}
+
+// Where the method's assumptions fail: light that crosses the shell unscattered, and objects that are little more than
+// shell. Empty: they hold, or what would tell cannot be read. Source: [STF §5.2, §8].
+std::string warn_of_shell_texture(const Scene& scene) {
+  if (scene.method.type != texture_method) return "";
+  const ShellMaterial& shell = *scene.material->shell;
+  const char* const instead = "; polygrid-diffusion needs no such assumption, path-tracing none";
+  try {
+    const std::vector<Material> materials = described_materials(shell.samples.front());
+    float least = std::numeric_limits<float>::infinity();
+    for (const Material& m : materials) least = std::min(least, m.reduced_extinction().minCoeff());
+    const double depth = static_cast<double>(least) * shell.thickness;
+    if (!materials.empty() && depth < 3)
+      return fmt::format(
+                 "the shell of {:g} mm is {:.2g} mean free paths thick in its clearest matter; the shell texture "
+                 "function expects 3, so that hardly any light crosses it unscattered",
+                 shell.thickness, depth) +
+             instead;
+    const double chord = PlacedMesh(*scene.object).mean_chord();
+    if (chord > 0 && chord < 4 * shell.thickness)
+      return fmt::format(
+                 "the object is {:.3g} mm thick in the mean, the shell {:g} mm: little core is left below it, "
+                 "and light from behind is the shell's alone",
+                 chord, shell.thickness) +
+             instead;
+  } catch (const InputError&) {
+  }
+  return "";
+}
+
 // A sample that a stage of its own makes.
 struct SampleFiles {
   std::string name;                 // of the stage; NAME.vdb is its output
@@ -189,6 +235,7 @@ struct SceneCase {
   std::vector<ExternalFile> light_files;
   Tiling tiling;
 
+  bool textured() const { return scene.method.type == texture_method; }
   json part(const char* section) const {
     return document.root.contains(section) ? document.root[section] : json::object();
   }
@@ -398,7 +445,9 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
     for (PlannedStage* stage : {&tetrahedralize, &polycube, &polygrid, &diffuse}) {
       stage->needed = false;
       stage->reason = c.opaque ? "the material is opaque: no light enters the object"
-                               : "the method path-tracing follows light through the surface and the shell itself";
+                      : c.textured()
+                          ? "the method shell-texture-function looks the shell's light up and has a dipole below it"
+                          : "the method path-tracing follows light through the surface and the shell itself";
       stages.push_back(*stage);
     }
     return;
@@ -433,9 +482,11 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
 void add_reference_stage(const SceneCase& c, std::vector<PlannedStage>& stages) {
   if (c.opaque) return;
   PlannedStage stage{"reference", "what leaves the object, by light paths"};
-  stage.on_demand = c.scene.method.type == diffusion_method;
+  stage.on_demand = c.scene.method.type == diffusion_method || c.textured();
   const std::string output = stage.on_demand ? "reference.ply" : "exitance.ply";
-  stage.reason = stage.on_demand ? "it judges how far diffusion is off" : "the method path-tracing is exact transport";
+  stage.reason = !stage.on_demand ? "the method path-tracing is exact transport"
+                 : c.textured()   ? "it judges how far the shell texture function is off"
+                                  : "it judges how far diffusion is off";
   stage.arguments = {"plan/reference.json", "surface.ply"};
   stage.artefacts = {"surface.ply"};
   if (c.shell) {
@@ -449,12 +500,57 @@ void add_reference_stage(const SceneCase& c, std::vector<PlannedStage>& stages) 
   stages.push_back(stage);
 }
 
+// The sample's light, and the core's.
+void add_texture_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
+  PlannedStage irradiance{"irradiance", "how light from any direction reaches each voxel of the sample"};
+  PlannedStage core{"core", "light that the core gives back to the shell"};
+  irradiance.outputs = {"stf.vdb"};
+  irradiance.views = {"stf.view.ply"};
+  core.outputs = {"core.ply"};
+  if (!c.textured()) {
+    for (PlannedStage* stage : {&irradiance, &core}) {
+      stage->needed = false;
+      stage->reason = c.opaque ? "the material is opaque: no light enters the object"
+                               : "the method " + c.scene.method.type + " works out the object's own light";
+      stages.push_back(*stage);
+    }
+    return;
+  }
+  irradiance.reason = "the shell's light is looked up in it, for any light and view";
+  irradiance.arguments = {"sample.vdb", "-o", "stf.vdb", "--target-error",
+                          number_text(c.scene.method.irradiance_error)};
+  irradiance.artefacts = {"sample.vdb"};
+  core.reason = "light that passes the shell comes back through it";
+  core.artefacts = {"synthesized.ply", "shell.vdb", "stf.vdb"};
+  core.arguments = {"plan/core.json"};
+  append(core.arguments, core.artefacts);
+  append(core.arguments, {"-o", "core.ply"});
+  if (c.scene.method.core == "paper") append(core.arguments, {"--dipole", "paper", "--bounces", "0"});
+  core.files = c.light_files;
+  core.slice = c.light_and_matter();
+  if (c.scene.method.core == "none") {
+    core.needed = false;
+    core.reason = "the scene wants a black core";
+    core.slice = nullptr;
+  }
+  stages.push_back(irradiance);
+  stages.push_back(core);
+}
+
 PlannedStage render(const SceneCase& c) {
   PlannedStage stage{"render", "the picture"};
   stage.reason = "the picture is asked for";
-  const std::string surface = c.opaque ? "surface.ply" : "exitance.ply";
+  const std::string surface = c.opaque ? "surface.ply" : c.textured() ? "synthesized.ply" : "exitance.ply";
   stage.arguments = {"plan/render.json", surface, "-o", "image.exr"};
   stage.artefacts = {surface};
+  if (c.textured()) {
+    append(stage.arguments, {"--stf", "stf.vdb", "--shell", "shell.vdb"});
+    append(stage.artefacts, {"stf.vdb", "shell.vdb"});
+    if (c.scene.method.core != "none") {
+      append(stage.arguments, {"--core", "core.ply"});
+      stage.artefacts.push_back("core.ply");
+    }
+  }
   stage.files = c.light_files;
   stage.outputs = {"image.exr", "image.png"};
   json method = json::object();
@@ -525,6 +621,7 @@ Plan make_plan(const std::string& scene_path) {
     throw InputError(scene_path + ": method.source: first-collision: only the operator elements takes it");
 
   if (scene.method.type == diffusion_method) require_scattering(scene);
+  if (scene.method.type == texture_method) require_one_sample(scene);
 
   std::optional<PlacedMesh> mesh;
   if (scene.object->size == 0) mesh.emplace(*scene.object);
@@ -551,12 +648,15 @@ Plan make_plan(const std::string& scene_path) {
     if (lights[i].contains("image"))
       scene_case.light_files.push_back({fmt::format("light{}", i), document.root["lights"][i]["image"]});
 
-  const std::string warning = is_dark(scene) ? darkness_warning : warn_of_diffusion(scene);
+  const std::string warning = is_dark(scene)                        ? darkness_warning
+                              : scene.method.type == texture_method ? warn_of_shell_texture(scene)
+                                                                    : warn_of_diffusion(scene);
   if (!warning.empty()) plan.warnings.push_back(warning);
   plan.material = scene_case.opaque ? "opaque" : scene_case.shell ? "heterogeneous shell" : "homogeneous";
   plan.stages.push_back(prepare(scene_case));
   add_shell_stages(scene_case, plan.stages);
   add_diffusion_stages(scene_case, plan.stages);
+  add_texture_stages(scene_case, plan.stages);
   add_reference_stage(scene_case, plan.stages);
   plan.stages.push_back(render(scene_case));
   return plan;

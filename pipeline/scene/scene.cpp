@@ -253,6 +253,8 @@ SceneMethod parse_method(const Section& section) {
   method.tolerance = section.number("tolerance");
   method.operator_name = section.text("operator");
   method.source = section.text("source");
+  method.irradiance_error = section.number("irradiance_error");
+  method.core = section.text("core");
   method.samples_per_pixel = section.integer("samples_per_pixel");
   return method;
 }

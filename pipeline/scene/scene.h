@@ -52,12 +52,14 @@ struct SceneMaterial {
 };
 
 struct SceneMethod {
-  std::string type = "polygrid-diffusion";  // or "path-tracing"
+  std::string type = "polygrid-diffusion";  // or "shell-texture-function" or "path-tracing"
   double nodes = 1e5;                       // of the polygrid
   double tolerance = 0.005;                 // relative error of the exitance
   std::string operator_name = "elements";   // or "paper"
   std::string source = "boundary";          // or "first-collision"
   double paths = 1e7;                       // of light, where the reference follows them
+  double irradiance_error = 0.05;           // of the shell texture function
+  std::string core = "dipole";              // below it; or "paper" or "none"
   int samples_per_pixel = 16;
 };
 

@@ -179,8 +179,9 @@ std::vector<SceneKey> make_schema() {
       positive("floor.radius", "", 2.5, 1e3, "where it has faded into the background, in sizes of the object"),
 
       section("method", "how light inside the object is computed, and how finely"),
-      word("method.type", "polygrid-diffusion", {"polygrid-diffusion", "path-tracing"},
-           "diffusion on a polygrid, or light paths (sg-reference): exact, slow and noisy"),
+      word("method.type", "polygrid-diffusion", {"polygrid-diffusion", "shell-texture-function", "path-tracing"},
+           "diffusion on a polygrid; the sample's precomputed light in the shell over a dipole core; or light paths "
+           "(sg-reference): exact, slow and noisy"),
       number("method.nodes", "", 1e5, 1e3, 2e7, "nodes of the polygrid"),
       {"method.tolerance", KeyType::number, "", 0.005, 1e-12, 0.5, false, {}, "relative error of the exitance"},
       word("method.operator", "elements", {"elements", "paper"},
@@ -189,6 +190,19 @@ std::vector<SceneKey> make_schema() {
            "where light becomes diffuse: at the surface, or where refracted beams first meet matter"),
       number("method.paths", "", 1e7, 1, 1e15,
              "light paths, of path-tracing and of reference.ply, which Make makes on demand"),
+      {"method.irradiance_error",
+       KeyType::number,
+       "",
+       0.05,
+       1e-3,
+       0.5,
+       false,
+       {},
+       "shell-texture-function: relative standard error of half of the sample's light"},
+      word(
+          "method.core", "dipole", {"dipole", "paper", "none"},
+          "shell-texture-function: the core's light, by a dipole that gets back what it gives and follows light to and "
+          "fro between shell and core, or as the paper has it; or a black core"),
       integer("method.samples_per_pixel", 16, 1, 65536, "camera rays a pixel"),
   };
 }

@@ -8,30 +8,96 @@
 #include "meshing/core/error.h"
 #include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
+#include "meshing/formats/vdb_file.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/record.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_checks.h"
 #include "solvers/render/surface_render.h"
 #include "solvers/render/tone_map.h"
+#include "solvers/shell_texture/shell_texture_archive.h"
+#include "solvers/shell_texture/shell_texture_render.h"
+#include "synthesis/textured_mesh.h"
 
 using namespace shellgrid;
 
 namespace {
 
-TranslucentSurface translucent_surface(const std::string& path, const AttributedMesh& surface, double ior) {
+std::vector<Rgb> exitance_of(const std::string& path, const AttributedMesh& surface, const std::string& writer) {
   const std::vector<float>* channels[3];
   for (int k = 0; k < 3; ++k) {
     const std::string name = std::string("exitance_") + "rgb"[k];
     channels[k] = surface.find(name);
     if (!channels[k])
-      throw InputError(path + ": no vertex property " + name + "; expected the exitance that sg-diffuse writes");
+      throw InputError(path + ": no vertex property " + name + "; expected the exitance that " + writer + " writes");
   }
-  TranslucentSurface result;
-  result.ior = ior;
+  std::vector<Rgb> exitance;
   for (int v = 0; v < surface.mesh.vertex_count(); ++v)
-    result.exitance.emplace_back((*channels[0])[v], (*channels[1])[v], (*channels[2])[v]);
-  return result;
+    exitance.emplace_back((*channels[0])[v], (*channels[1])[v], (*channels[2])[v]);
+  return exitance;
+}
+
+// The files of a picture by the shell texture function.
+struct ShellTextureFiles {
+  std::string texture, shell, core;
+  std::string light = "all";
+
+  bool asked_for() const { return !texture.empty(); }
+  void declare(StageProgram& program) {
+    program.option("--stf", texture,
+                   "render by this shell texture function, from sg-irradiance; the surface is then synthesized.ply");
+    program.option("--shell", shell, "the shell that it fills, from sg-shell");
+    program.option("--core", core, "the core's light, from sg-core; without it the core is black");
+    program.option("--light", light,
+                   "which light the shell shows: all of it, that from outside, or that out of the core",
+                   {"all", "outside", "core"});
+  }
+  void check(const StageProgram& program) const {
+    program.refuse_unless(asked_for(), "--stf", {"--shell", "--core", "--light"});
+    if (asked_for() && shell.empty()) throw UsageError("--stf needs the --shell that it fills");
+    if (asked_for() && light == "core" && core.empty()) throw UsageError("--light core needs --core");
+  }
+};
+
+RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::string& surface_path,
+                                    const AttributedMesh& surface_file, const Scene& scene,
+                                    const RenderSettings& settings, StageRun& run) {
+  const TexturedMesh surface = detach_texture(surface_file, surface_path);
+  if (!surface.sample.empty())
+    throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
+  const ShellVolume shell = read_shell_volume(files.shell);
+  require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress());
+  const auto texture =
+      naming(files.texture, [&] { return look_up_as_it_is(restore_shell_texture(read_vdb(files.texture))); });
+  if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
+    throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", files.texture,
+                                 texture->voxel(), files.shell, shell.frame.voxel));
+  std::vector<Rgb> core;
+  if (!files.core.empty()) {
+    const AttributedMesh core_mesh = read_mesh(files.core);
+    core = exitance_of(files.core, core_mesh, "sg-core");
+    if (core_mesh.mesh.vertex_count() != surface.mesh.vertex_count())
+      throw InputError(fmt::format("{}: {} vertices, but {} has {}", files.core, core_mesh.mesh.vertex_count(),
+                                   surface_path, surface.mesh.vertex_count()));
+  }
+  const TransportObject object(surface.mesh, shell, scene.object->ior);
+  const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
+  ShellTextureSettings shown{settings};
+  shown.outside_light = files.light != "core";
+  shown.core_light = files.light != "outside";
+  ShellTextureStatistics s;
+  RenderedImage picture = render_shell_texture({object, shell, frames, *texture, core}, scene.lights, *scene.camera,
+                                               shown, &s, run.progress());
+  run.results()["marches"] = s.marches;
+  run.results()["march_steps"] = s.march_steps;
+  run.results()["voxels_lit"] = s.voxels_lit;
+  run.results()["leaves_lit"] = s.leaves_lit;
+  run.results()["leaves_skipped"] = s.leaves_skipped;
+  run.results()["vertices_lit"] = s.vertices_lit;
+  picture.statistics.shadow_rays += s.shadow_rays;
+  picture.statistics.shadow_rays_skipped += s.shadow_rays_skipped;
+  return picture;
 }
 
 double exposure_stops(const std::string& option, const Scene& scene, const Image& image) {
@@ -81,9 +147,12 @@ int main(int argc, char** argv) {
                  "parallel lights that stand for an environment where shadows are cast", 1, 65536);
   program.option("--exposure", exposure, "of the PNG: scene, auto, or stops (a number)");
   program.option("--tone", tone, "curve of the PNG", {"filmic", "linear"});
+  ShellTextureFiles files;
+  files.declare(program);
   program.example("sg-render scene.json exitance.ply -o image.exr --exposure 0.5", "half a stop brighter than 1:1");
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
+    files.check(program);
     const Scene scene = read_scene(scene_path);
     if (!scene.camera) throw InputError(scene_path + ": no camera");
     require_memory(scene_path, *scene.camera);
@@ -99,11 +168,16 @@ int main(int argc, char** argv) {
     run.start_timer("render");
     const bool opaque = scene.material && scene.material->opaque;
     if (!opaque && !scene.object) throw InputError(scene_path + ": no object; its ior is needed");
-    const RenderedImage picture =
-        opaque ? render_surface(surface.mesh, OpaqueSurface{scene.material->opaque->reflectance}, scene.lights,
-                                *scene.camera, settings, run.progress())
-               : render_surface(surface.mesh, translucent_surface(surface_path, surface, scene.object->ior),
-                                scene.lights, *scene.camera, settings, run.progress());
+    const auto render = [&] {
+      if (files.asked_for()) return shell_texture_picture(files, surface_path, surface, scene, settings, run);
+      if (opaque)
+        return render_surface(surface.mesh, OpaqueSurface{scene.material->opaque->reflectance}, scene.lights,
+                              *scene.camera, settings, run.progress());
+      return render_surface(surface.mesh,
+                            TranslucentSurface{exitance_of(surface_path, surface, "sg-diffuse"), scene.object->ior},
+                            scene.lights, *scene.camera, settings, run.progress());
+    };
+    const RenderedImage picture = render();
 
     run.start_timer("write");
     const double stops = exposure_stops(exposure, scene, picture.image);

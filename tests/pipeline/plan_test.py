@@ -47,8 +47,8 @@ for output in outputs + views:
 json.dump({"outputs": [{"path": o} for o in outputs + views]}, open(outputs[0] + ".json", "w"))
 """
 STAGES = ["prepare", "distance", "sample", "textons", "synthesize", "shell", "tetrahedralize", "polycube", "polygrid",
-          "diffuse", "reference", "render"]
-MADE = [stage for stage in STAGES if stage != "reference"]  # on the way to the picture
+          "diffuse", "irradiance", "core", "reference", "render"]
+MADE = [stage for stage in STAGES if stage not in ("irradiance", "core", "reference")]  # on the way to the picture
 SHELL = {"shell": {"sample": "marble.json", "thickness": 2, "voxel": 0.5}, "core": "bottom-layer"}
 
 

@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <numbers>
+
+#include "meshing/core/error.h"
+#include "meshing/formats/mesh_file.h"
+#include "meshing/formats/vdb_file.h"
+#include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/exitance_mesh.h"
+#include "pipeline/scene/scene.h"
+#include "pipeline/scene/scene_checks.h"
+#include "solvers/dipole/dipole.h"
+#include "solvers/shell_texture/core_light.h"
+#include "solvers/shell_texture/shell_texture_archive.h"
+#include "synthesis/half_space_reflectance.h"
+#include "synthesis/textured_mesh.h"
+
+using namespace shellgrid;
+
+namespace {
+
+// The dipole of light that comes out of a shell of the same refractive index, returning as much in all as transport
+// says; or the paper's, of light that comes from outside.
+std::array<Dipole, 3> core_dipoles(const Material& core, double ior, bool paper) {
+  if (paper) return dipoles(core, ior, DipoleEntry::beam, DipoleBoundary::polynomial);
+  std::array<Dipole, 3> channels = dipoles(core, 1, DipoleEntry::diffuse);
+  for (Dipole& d : channels)
+    if (d.total() > 0) d.scale = half_space_reflectance(d.reduced_albedo, 1) / d.total();
+  return channels;
+}
+
+Eigen::Array3d power(const CoreSurface& surface, const std::vector<Rgb>& values) {
+  Eigen::Array3d sum = Eigen::Array3d::Zero();
+  for (std::size_t i = 0; i < values.size(); ++i)
+    sum += values[i].cast<double>() * static_cast<double>(surface.areas[i]);
+  return sum;
+}
+
+nlohmann::json list(const Eigen::Array3d& a) { return {a[0], a[1], a[2]}; }
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  std::string scene_path, mesh_path, shell_path, texture_path, model = "matched";
+  int environment_samples = 384;
+  CoreExchangeOptions options;
+  options.sums.tolerance = 0.02;
+  StageProgram program("sg-core", "Finds the light that the core below a shell gives back, by the dipole.");
+  program.input("scene.json", scene_path, "lights, object.ior");
+  program.input("synthesized.ply", mesh_path, "surface with texture coordinates, from sg-synthesize");
+  program.input("shell.vdb", shell_path, "thickness and core, from sg-shell");
+  program.input("stf.vdb", texture_path, "the sample's shell texture function, from sg-irradiance");
+  program.output("core.ply", "the core's surface: irradiance from the shell, exitance into it");
+  program.option("--dipole", model,
+                 "matched: lit by diffuse light out of a shell of the same index, its total that of transport; paper: "
+                 "lit by a beam from outside, with Jensen's polynomial",
+                 {"matched", "paper"});
+  program.option("--tolerance", options.sums.tolerance, "", "greatest relative error of each point's sum", 1e-4, 0.5);
+  program.option("--bounces", options.bounces, "",
+                 "how often at most light that the core gives back, and the shell returns, enters again; 0: as the "
+                 "paper does",
+                 0, 100);
+  program.flag("--brute-force", options.sums.brute_force, "sum over all pairs, to check the hierarchy");
+  program.option("--environment-samples", environment_samples, "", "parallel lights that stand for an environment", 1,
+                 65536);
+  program.example("sg-core scene.json synthesized.ply shell.vdb stf.vdb -o core.ply", "ready for sg-render");
+  return program.run(argc, argv, [&](StageRun& run) {
+    run.start_timer("read");
+    const Scene scene = read_scene(scene_path);
+    program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
+                          {"--environment-samples"});
+    const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
+    const ShellVolume shell = read_shell_volume(shell_path);
+    const auto texture = look_up_as_it_is(restore_shell_texture(read_vdb(texture_path)));
+    const double ior = scene.object ? scene.object->ior : shell.ior;
+    warn_of_darkness(scene, run.progress());
+
+    run.start_timer("light");
+    const SceneGeometry geometry(surface.mesh);
+    const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
+    const IncidentLight light(frames, geometry, scene.lights, texture->directions(), environment_samples);
+    CoreSurface core = core_surface(light, *texture, surface.coordinate, shell.thickness);
+    if (options.bounces == 0) core.shell_reflection.clear();
+
+    run.start_timer("exchange");
+    const auto channels = core_dipoles(shell.core, ior, model == "paper");
+    double area = 0;
+    for (const float a : core.areas) area += static_cast<double>(a);
+    const double radius =
+        std::sqrt(area / std::max<double>(1, static_cast<double>(core.points.size())) / std::numbers::pi);
+    if (model == "matched")
+      for (int c = 0; c < 3; ++c) options.returned[c] = channels[c].total();
+    const CoreExchange exchange = exchange_core_light(core, dipole_profile(channels, radius), options);
+    if (exchange.greatest_return > 1.5)
+      run.progress().warn(
+          fmt::format("the core is thin or folded: by the dipole it would return up to {:.1f} times its light there, "
+                      "and was held to "
+                      "it; a thinner shell leaves more of a core",
+                      exchange.greatest_return));
+
+    run.start_timer("write");
+    TriangleMesh shape = surface.mesh;
+    for (int v = 0; v < shape.vertex_count(); ++v) shape.vertices.row(v) = core.points[v].cast<double>().transpose();
+    std::vector<Rgb> irradiance(core.points.size(), Rgb::Zero());
+    Eigen::Array3d entering = Eigen::Array3d::Zero();
+    for (std::size_t i = 0; i < irradiance.size(); ++i) {
+      entering += core.power[i].cast<double>();
+      if (core.areas[i] > 0) irradiance[i] = exchange.power[i] / core.areas[i];
+    }
+    write_ply(run.output(), exitance_mesh(shape, exchange.exitance, irradiance));
+    const Eigen::Array3d leaving = power(core, exchange.exitance);
+    run.results() = {{"points", core.points.size()},
+                     {"entering_power", list(entering)},
+                     {"leaving_power", list(leaving)},
+                     {"bounces", exchange.bounces},
+                     {"series_share", exchange.series_share},
+                     {"greatest_return", exchange.greatest_return},
+                     {"evaluations", exchange.statistics.evaluations},
+                     {"pairs", static_cast<double>(core.points.size()) * static_cast<double>(core.points.size())},
+                     {"tree_bytes", exchange.statistics.bytes},
+                     {"shadow_rays", light.statistics().shadow_rays.load()},
+                     {"shadow_rays_skipped", light.statistics().shadow_rays_skipped.load()}};
+    run.print(fmt::format("{}: {} points, {} bounces, {:.3g} of all pairs evaluated", run.output(), core.points.size(),
+                          exchange.bounces,
+                          static_cast<double>(exchange.statistics.evaluations) /
+                              (static_cast<double>(core.points.size()) * static_cast<double>(core.points.size()))));
+  });
+}
