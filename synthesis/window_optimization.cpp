@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "synthesis/window_optimization.h"
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "meshing/core/parallel.h"
+#include "meshing/core/random.h"
 #include "synthesis/sample_symmetry.h"
 #include "synthesis/window_index.h"
 
@@ -17,7 +20,11 @@ namespace {
 // that look the same would be shuffled.
 constexpr float move_cost = 0.01f, change_cost = 0.03f;
 constexpr float search_bound = 0.02f;  // windows that differ by less, in variances, are near enough
-constexpr int nearest_count = 4;
+constexpr int nearest_count = 8;
+// Vertices find their windows in as many turns, and the texels' use is counted anew before each, so that not all leave
+// at once what is used too often.
+constexpr int use_groups = 4;
+constexpr float few_uses = 8;
 constexpr int reach = 2, across = 2 * reach + 1, places = across * across, centre = places / 2;
 
 using Features = Eigen::Array<float, TextonSet::dimension, 1>;
@@ -71,6 +78,12 @@ class WindowOptimizer {
     std::vector<LayerPlace> next_window(windows_), next(place_);
     shown_.resize(place_.size());
     window_changed_.assign(place_.size(), 1);
+    std::vector<char> window_now_changed;
+    const int groups = options_.evenness > 0 ? use_groups : 1;
+    if (options_.evenness > 0) find_bases();
+    const auto group_of = [&](std::int32_t v, int pass) {
+      return groups == 1 ? 0 : static_cast<int>(hash64(81, static_cast<std::uint64_t>(v), pass) % groups);
+    };
     shown_changed_.assign(place_.size(), 1);
     for (int pass = 0; pass < passes; ++pass) {
       parallel_for(vertices_.size(), [&](std::size_t i) {
@@ -78,22 +91,30 @@ class WindowOptimizer {
         shown_changed_[v] = pass == 0 || shown_[v] != texel;
         shown_[v] = texel;
       });
-      parallel_for(
-          vertices_.size(),
-          [&](std::size_t i) {
-            const std::int32_t v = vertices_[i];
-            bool dirty = pass == 0;
-            const TangentNeighbour* around = &neighbours_[i * places];
-            for (int k = 0; k < places && !dirty; ++k)
-              dirty = around[k].vertex >= 0 && (shown_changed_[around[k].vertex] || window_changed_[around[k].vertex]);
-            next_window[v] = dirty ? nearest_window(i) : windows_[v];
-          },
-          64);
-      parallel_for(vertices_.size(), [&](std::size_t i) {
-        const std::int32_t v = vertices_[i];
-        window_changed_[v] = next_window[v].layer != windows_[v].layer || next_window[v].at != windows_[v].at;
-        windows_[v] = next_window[v];
-      });
+      window_now_changed.assign(place_.size(), 0);
+      for (int group = 0; group < groups; ++group) {
+        if (options_.evenness > 0) weigh_use();
+        parallel_for(
+            vertices_.size(),
+            [&](std::size_t i) {
+              const std::int32_t v = vertices_[i];
+              if (group_of(v, pass) != group) return;
+              bool dirty = pass == 0 || penalty(layers_.texel(windows_[v])) > move_cost;
+              const TangentNeighbour* around = &neighbours_[i * places];
+              for (int k = 0; k < places && !dirty; ++k)
+                dirty =
+                    around[k].vertex >= 0 && (shown_changed_[around[k].vertex] || window_changed_[around[k].vertex]);
+              next_window[v] = dirty ? nearest_window(i) : windows_[v];
+            },
+            64);
+        parallel_for(vertices_.size(), [&](std::size_t i) {
+          const std::int32_t v = vertices_[i];
+          if (group_of(v, pass) != group) return;
+          window_now_changed[v] = next_window[v].layer != windows_[v].layer || next_window[v].at != windows_[v].at;
+          windows_[v] = next_window[v];
+        });
+      }
+      window_changed_.swap(window_now_changed);
       parallel_for(
           vertices_.size(), [&](std::size_t i) { next[vertices_[i]] = nearest_to_mean(i); }, 64);
       parallel_for(vertices_.size(), [&](std::size_t i) { place_[vertices_[i]] = next[vertices_[i]]; });
@@ -119,6 +140,56 @@ class WindowOptimizer {
                                   layer.texel_count(), TextonSet::dimension);
       for (int step = 1; step < step_; step *= 2) rows = blur_maps(RowMatrixf(rows), layer.width, layer.height, step);
     }
+  }
+
+  void find_bases() {
+    base_.resize(layers_.texel_count());
+    for (int l = 0; l < layers_.size(); ++l)
+      for (int t = 0; t < layers_[l].texel_count(); ++t)
+        base_[layers_[l].first + t] = layers_.turned_texel(layers_[l].first + t, -layers_.turn_of(l));
+    penalty_.assign(layers_.base_texel_count(), 0.0f);
+  }
+  float penalty(std::int32_t texel) const { return base_.empty() ? 0.0f : penalty_[base_[texel]]; }
+
+  // What each texel costs for being used more often than its share, counted over about the level's step around it.
+  void weigh_use() {
+    std::vector<float> use(layers_.base_texel_count(), 0.0f);
+    for (std::int32_t v : vertices_) use[base_[layers_.texel(windows_[v])]] += 1;
+    for (int s = 0; s < layers_.sample_count; ++s) {
+      const SampleLayer& layer = layers_[s];
+      float* const own = &use[layer.first];
+      const float expected =
+          std::accumulate(own, own + layer.texel_count(), 0.0f) / static_cast<float>(layer.texel_count());
+      float spread = 0;  // variance of where a use counts, texels²
+      for (int step = 1; step <= step_; step *= 2) {
+        blur(layer, step, own);
+        spread += static_cast<float>(step * step);
+      }
+      const float area = 4 * static_cast<float>(M_PI) * spread;
+      for (int t = 0; t < layer.texel_count(); ++t) {
+        // Where few are expected, as many again say little.
+        const float ratio = (own[t] * area + few_uses) / (expected * area + few_uses);
+        penalty_[layer.first + t] = static_cast<float>(options_.evenness) * std::clamp(ratio - 1, 0.0f, 2.0f);
+      }
+    }
+  }
+
+  // With [1 4 6 4 1]/16 along both axes, wrapping around.
+  static void blur(const SampleLayer& layer, int step, float* values) {
+    std::vector<float> line;
+    const auto blur_line = [&](int count, int stride, float* first) {
+      line.resize(count);
+      for (int i = 0; i < count; ++i) line[i] = first[static_cast<std::ptrdiff_t>(i) * stride];
+      const int one = step % count, two = 2 * step % count;
+      for (int i = 0; i < count; ++i)
+        first[static_cast<std::ptrdiff_t>(i) * stride] =
+            (6 * line[i] + 4 * (line[(i + one) % count] + line[(i + count - one) % count]) + line[(i + two) % count] +
+             line[(i + count - two) % count]) /
+            16;
+    };
+    for (int y = 0; y < layer.height; ++y)
+      blur_line(layer.width, 1, values + static_cast<std::ptrdiff_t>(y) * layer.width);
+    for (int x = 0; x < layer.width; ++x) blur_line(layer.height, layer.width, values + x);
   }
 
   // A row of the features around a texel, each times the root of its weight.
@@ -162,7 +233,7 @@ class WindowOptimizer {
       if (!allowed_(v, layer.sample)) return;
       ++compared;
       const int tx = (texel - layer.first) % layer.width, ty = (texel - layer.first) / layer.width;
-      float distance = (texel != own ? move_cost * unit : 0.0f);
+      float distance = ((texel != own ? move_cost : 0.0f) + penalty(texel)) * unit;
       for (int i = 0; i < count; ++i) {
         int x = tx + (used[i] % across - reach) * step_, y = ty + (used[i] / across - reach) * step_;
         while (x < 0) x += layer.width;
@@ -194,8 +265,10 @@ class WindowOptimizer {
       for (int i = 0; i < places; ++i)
         index_->contribute(used[i], Features(std::sqrt(weight_[used[i]]) * wanted[i]), query);
       std::array<std::int32_t, AppearanceTree::few> nearest;
+      const float own_penalty = penalty(layers_.texel(best));
       const auto may_be = [&](std::int32_t t) {
-        return layers_.sample_count == 1 || allowed_(v, layers_[layers_.layer_of(t)].sample);
+        return penalty(t) <= own_penalty &&
+               (layers_.sample_count == 1 || allowed_(v, layers_[layers_.layer_of(t)].sample));
       };
       const int found =
           index_->tree().nearest_few(query, may_be, best_distance - move_cost * unit, nearest_count, nearest.data());
@@ -248,6 +321,8 @@ class WindowOptimizer {
   std::vector<char> shown_changed_, window_changed_;
   std::vector<TangentNeighbour> neighbours_;  // 25 for each vertex of the level
   std::vector<float> features_;
+  std::vector<std::int32_t> base_;
+  std::vector<float> penalty_;
   std::array<float, places> weight_;
   std::optional<WindowIndex> index_;
   std::atomic<long> comparisons_ = 0;

@@ -242,6 +242,26 @@ TEST(SurfaceSynthesis, NoClosedLoopIsASeam) {
   EXPECT_GT(worst_excess(true), 0.1);
 }
 
+// What is used too often costs, so more of the sample is seen, at hardly any price.
+TEST(SurfaceSynthesis, EvennessShowsMoreOfTheSample) {
+  double entropy[2] = {0, 0}, distance[2] = {0, 0};
+  for (const SampleDefinition& definition : {testing::marble(64), testing::cells(64)}) {
+    TextonOptions textons_options;
+    textons_options.texton_count = 40;
+    const TextonSet textons = make_textons(make_procedural_sample(definition), textons_options);
+    for (int even : {0, 1}) {
+      SynthesisOptions options;
+      if (!even) options.evenness = options.final_evenness = 0;
+      const SurfaceTexture texture = synthesize_surface(testing::torus(7, 2.8, 110, 44), textons, options);
+      const SynthesisQuality quality = measure_synthesis(texture, textons, {.windows = 1024});
+      entropy[even] += quality.texel_entropy / 2;
+      distance[even] += quality.window_distance / 2;
+    }
+  }
+  EXPECT_GT(entropy[1], entropy[0] + 0.01);
+  EXPECT_LT(distance[1], 1.1 * distance[0]);
+}
+
 TEST(SurfaceSynthesis, WorkGrowsLinearlyWithTheVertices) {
   const TextonSet textons = marble_textons(64);
   const auto per_vertex = [&](double size, int around, int across) {
