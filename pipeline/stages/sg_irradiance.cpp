@@ -6,14 +6,17 @@
 
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
+#include "meshing/formats/number_archive.h"
 #include "meshing/formats/output_file.h"
 #include "meshing/formats/output_set.h"
 #include "meshing/formats/vdb_file.h"
+#include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/cli/view_path.h"
 #include "pipeline/scene/irradiance_state_file.h"
 #include "solvers/shell_texture/irradiance_tracing.h"
 #include "solvers/shell_texture/shell_texture_archive.h"
+#include "solvers/shell_texture/shell_texture_codec.h"
 #include "synthesis/sample_archive.h"
 
 using namespace shellgrid;
@@ -53,6 +56,26 @@ ShellTexture follow(const BaseVolume& volume, IrradianceOptions options, const s
   return texture;
 }
 
+// As a volume, or compressed where the output is an .stf.
+void write(const ShellTexture& texture, const std::string& codec, const CodecGoal& goal, StageRun& run) {
+  if (codec == "none") {
+    write_vdb(run.output(), archive_shell_texture(texture));
+    return;
+  }
+  CodecReport report;
+  const auto compressed = compress_shell_texture(
+      texture,
+      codec == "vector-quantisation" ? ShellTextureCodec::vector_quantisation : ShellTextureCodec::principal_components,
+      goal, &report);
+  write_number_archive(run.output(), compressed->archive());
+  run.results()["compression"] = {
+      {"bytes", report.bytes}, {"ratio", report.ratio}, {"psnr", report.psnr}, {"words", report.words}};
+  if (goal.ratio > 0 && report.ratio < 0.98 * goal.ratio)
+    run.progress().warn(fmt::format("the ratio asked for was not reached: {:.1f}", report.ratio));
+  if (!(goal.ratio > 0) && report.psnr < goal.psnr - 0.5)
+    run.progress().warn(fmt::format("the PSNR asked for was not reached: {:.1f} dB", report.psnr));
+}
+
 nlohmann::json in_figures(const IrradianceReport& report, const ShellTexture& texture) {
   nlohmann::json balance = nlohmann::json::array();
   for (const DirectionBalance& b : report.balance)
@@ -70,12 +93,16 @@ nlohmann::json in_figures(const IrradianceReport& report, const ShellTexture& te
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::string sample_path, state_path, estimator = "shared-walks";
+  std::string sample_path, state_path, estimator = "shared-walks", codec = "none";
+  CodecGoal goal;
   IrradianceOptions options;
   options.target_error = 0.02;
   StageProgram program("sg-irradiance", "Traces how light from any direction reaches each voxel of a sample.");
   program.input("sample.vdb", sample_path, "the base volume, from sg-sample");
-  program.output("stf.vdb", "the shell texture function: I_s and I_m of each voxel and direction, and their error");
+  program.output(
+      "stf.vdb",
+      "the shell texture function: I_s and I_m of each voxel and direction, and their error; .stf: compressed", false,
+      {".stf"});
   program.output_beside(".view.ply");
   program.option("--paths", options.paths, "a texel", "light paths, in all or of each direction, at least", 1e-3, 1e6);
   program.option("--most-paths", options.most_paths, "a texel", "where --target-error ends at the latest", 1e-3, 1e7);
@@ -96,10 +123,23 @@ int main(int argc, char** argv) {
   program.output_option("--state", state_path, "",
                         "file in which the paths are kept: where it is there, the run goes on from it, to the same "
                         "bytes as without a break");
+  program.option("--codec", codec,
+                 "of an .stf; principal-components: of all of a voxel's values; vector-quantisation: the paper's, a "
+                 "codeword for each voxel and direction, entropy coded; none: a .vdb",
+                 {"none", "vector-quantisation", "principal-components"});
+  program.option("--psnr", goal.psnr, "dB", "compressed as small as this allows", 10, 120);
+  program.option("--ratio", goal.ratio, "", "compressed so many times instead, to single precision; 0: by --psnr", 0,
+                 1e4);
+  program.example("sg-irradiance sample.vdb -o stf.stf --ratio 48", "compressed");
   program.example("sg-irradiance sample.vdb -o stf.vdb", "half of the values within 2 % standard error");
   program.example("sg-irradiance sample.vdb -o stf.vdb --target-error 0.01 --state stf.state",
                   "to be stopped with Ctrl-C, and gone on with by the same command");
   return program.run(argc, argv, [&](StageRun& run) {
+    const bool compressed = std::filesystem::path(run.output()).extension() == ".stf";
+    program.refuse_unless(compressed, "a compressed output (.stf)", {"--psnr", "--ratio"});
+    if (compressed && !program.given("--codec")) codec = "principal-components";
+    if (compressed == (codec == "none"))
+      throw UsageError(compressed ? "--codec none writes a .vdb" : "--codec writes an .stf");
     run.start_timer("read");
     const MaterialSample sample = restore_sample(read_vdb(sample_path));
     if (program.given("--paths") && !program.given("--target-error")) options.target_error = 0;
@@ -122,7 +162,7 @@ int main(int argc, char** argv) {
     else if (options.target_error > 0 && report.median_error > options.target_error)
       run.progress().warn("the error asked for was not reached; try more --most-paths");
     run.start_timer("write");
-    write_vdb(run.output(), archive_shell_texture(texture));
+    write(texture, codec, goal, run);
     const std::string view = view_path(run.output());
     write_ply(view, view_shell_texture(texture));
     run.note_output(view);

@@ -17,7 +17,6 @@ namespace {
 
 constexpr std::uint64_t least_batches = 8;  // to tell their spread
 constexpr std::uint64_t most_walks_a_batch = 8192;
-constexpr float least_share = 1e-3f;  // of matter in a voxel that has a value
 constexpr std::uint64_t upper_batches_a_back_batch = 3;
 constexpr double checkpoint_seconds = 60;
 constexpr long progress_steps = 1000;
@@ -203,7 +202,7 @@ class Tracing {
     const double cell = std::pow(volume_.voxel, 3);
     const bool sphere = options_.estimator == IrradianceEstimator::sphere;
     if (sphere) return static_cast<float>(volume_.free[v] ? 0 : 1 / (4.0 / 3 * std::numbers::pi * cell));
-    return slab_.share()[v] > least_share ? static_cast<float>(1 / (cell * static_cast<double>(slab_.share()[v]))) : 0;
+    return slab_.share()[v] > least_matter ? static_cast<float>(1 / (cell * static_cast<double>(slab_.share()[v]))) : 0;
   }
 
   float error_of(std::size_t v, int l) const {

@@ -13,8 +13,8 @@
 namespace shellgrid {
 namespace {
 
-constexpr int margin = 8;          // voxels about the tile that the surface is made of beside its own
-constexpr int rays_per_voxel = 6;  // along x and y, to weigh voxels
+constexpr int margin = 8;           // voxels about the tile that the surface is made of beside its own
+constexpr int rays_per_voxel = 12;  // along x and y, to weigh voxels
 
 Float4 lanes(const Vec3f& v) { return Float4{v.x(), v.y(), v.z(), 0}; }
 

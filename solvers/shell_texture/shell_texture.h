@@ -24,6 +24,9 @@ struct LightDirections {
   }
 };
 
+// Share of matter from which on a voxel has values: of less the share itself is known too badly.
+constexpr float least_matter = 0.02f;
+
 // Fluence for light of unit irradiance on a plane across its direction: of light that was only refracted (I_s), and of
 // light that was scattered or mirrored (I_m). The light from below is the mean over the lower hemisphere's directions,
 // all of it in I_m: for radiance L from below the fluence is 2π L I_m(ω_b). Source: [STF eq. 2].

@@ -10,8 +10,6 @@
 namespace shellgrid {
 namespace {
 
-constexpr float least_matter = 1e-3f;  // share of a voxel below which it has no values
-
 // A place between two neighbours of a row of cells whose middles are at ½, 1½, …
 struct Between {
   int first, second;

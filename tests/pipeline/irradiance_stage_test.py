@@ -88,6 +88,21 @@ class Irradiance(WorkplaceTest):
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertGreaterEqual(record(out)["results"]["paths"], first)
 
+    def test_compresses_as_asked_for(self):
+        sample = self.sample("sample.vdb")
+        few = ["--rings", 2, "--turns", 4, "--paths", 100]
+        for codec, least in (("principal-components", 34), ("vector-quantisation", 25)):
+            out = self.at("stf.stf")
+            done = run("irradiance", sample, "-o", out, *few, "--codec", codec, "--psnr", 35 if least == 34 else 26)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            compression = record(out)["results"]["compression"]
+            self.assertGreater(compression["psnr"], least)
+            self.assertGreater(compression["ratio"], 1)
+        done = run("irradiance", sample, "-o", self.at("stf.vdb"), *few, "--codec", "vector-quantisation")
+        self.assertEqual(done.returncode, 2, done.stderr)
+        done = run("irradiance", sample, "-o", self.at("stf.vdb"), *few, "--ratio", 48)
+        self.assertEqual(done.returncode, 2, done.stderr)
+
     def test_refuses_what_is_no_sample(self):
         write_json(self.at("no.json"), {})
         os.rename(self.at("no.json"), self.at("no.vdb"))
