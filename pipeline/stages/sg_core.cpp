@@ -13,9 +13,9 @@
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_checks.h"
+#include "pipeline/scene/shell_texture_file.h"
 #include "solvers/dipole/dipole.h"
 #include "solvers/shell_texture/core_light.h"
-#include "solvers/shell_texture/shell_texture_archive.h"
 #include "synthesis/half_space_reflectance.h"
 #include "synthesis/textured_mesh.h"
 
@@ -75,7 +75,7 @@ int main(int argc, char** argv) {
                           {"--environment-samples"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
     const ShellVolume shell = read_shell_volume(shell_path);
-    const auto texture = look_up_as_it_is(restore_shell_texture(read_vdb(texture_path)));
+    const auto texture = open_shell_texture(texture_path);
     const double ior = scene.object ? scene.object->ior : shell.ior;
     warn_of_darkness(scene, run.progress());
 

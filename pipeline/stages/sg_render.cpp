@@ -14,9 +14,9 @@
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_checks.h"
+#include "pipeline/scene/shell_texture_file.h"
 #include "solvers/render/surface_render.h"
 #include "solvers/render/tone_map.h"
-#include "solvers/shell_texture/shell_texture_archive.h"
 #include "solvers/shell_texture/shell_texture_render.h"
 #include "synthesis/textured_mesh.h"
 
@@ -68,8 +68,7 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
     throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
   const ShellVolume shell = read_shell_volume(files.shell);
   require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress());
-  const auto texture =
-      naming(files.texture, [&] { return look_up_as_it_is(restore_shell_texture(read_vdb(files.texture))); });
+  const auto texture = naming(files.texture, [&] { return open_shell_texture(files.texture); });
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
     throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", files.texture,
                                  texture->voxel(), files.shell, shell.frame.voxel));

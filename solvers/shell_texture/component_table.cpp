@@ -124,9 +124,10 @@ std::vector<float> find_peaks(const VectorField& field) {
 struct ComponentTable::Plan {
   std::vector<float> transformed;  // blocks × components × 64
   std::vector<char> block_filled;
-  double left_out = 0;      // squares that no component holds
-  double count = 0;         // values
-  double filled_share = 1;  // of the blocks' places
+  double left_out = 0;              // squares that no component holds
+  double count = 0;                 // values
+  std::vector<std::uint64_t> mask;  // of each block: its places that are filled
+  std::vector<double> energy;       // of each component, over filled places
   int components = 0;
   // Of the last step tried.
   double error = 0;
@@ -216,6 +217,7 @@ ComponentTable ComponentTable::compress(const VectorField& field, const CodecGoa
   const auto blocks = static_cast<std::size_t>(t.block_count());
   plan.transformed.assign(blocks * plan.components * block_places, 0.0f);
   plan.block_filled.assign(blocks, 0);
+  plan.mask.assign(blocks, 0);
   parallel_for(
       blocks,
       [&](std::size_t b) {
@@ -229,6 +231,7 @@ ComponentTable ComponentTable::compress(const VectorField& field, const CodecGoa
                        ? row_of[(static_cast<std::size_t>(z) * t.size_.y() + y) * t.size_.x() + x]
                        : -1;
           filled += row[k] >= 0;
+          if (row[k] >= 0) plan.mask[b] |= std::uint64_t{1} << k;
         }
         if (filled == 0) return;
         plan.block_filled[b] = 1;
@@ -241,9 +244,16 @@ ComponentTable ComponentTable::compress(const VectorField& field, const CodecGoa
         }
       },
       4);
-  double block_sum = 0;
-  for (const char f : plan.block_filled) block_sum += f;
-  plan.filled_share = static_cast<double>(n) / (block_sum * block_places);
+  plan.energy.assign(static_cast<std::size_t>(plan.components), 0.0);
+  parallel_for(
+      plan.energy.size(),
+      [&](std::size_t c) {
+        for (Eigen::Index r = 0; r < n; ++r) {
+          const auto value = static_cast<double>(coefficients(r, static_cast<Eigen::Index>(c)));
+          plan.energy[c] += value * value;
+        }
+      },
+      1);
   coefficients.resize(0, 0);
   rows.resize(0, 0);
 
@@ -253,8 +263,7 @@ ComponentTable ComponentTable::compress(const VectorField& field, const CodecGoa
   const auto meets = [&](double step) {
     t.encode(plan, static_cast<float>(step));
     if (goal.ratio > 0) return raw / static_cast<double>(t.bytes()) < goal.ratio;  // not small enough yet
-    // Places of blocks that are not filled do not count.
-    const double noise = (plan.error * plan.filled_share + plan.left_out) / plan.count;
+    const double noise = (plan.error + plan.left_out) / plan.count;
     return -10 * std::log10(std::max(noise, 1e-30)) > goal.psnr;  // nearer than asked for
   };
   for (int round = 0; round < search_rounds; ++round) {
@@ -274,7 +283,8 @@ void ComponentTable::encode(Plan& plan, float step) {
   const int all = plan.components;
   // How widely each place's steps are spread over the blocks.
   std::vector<double> magnitude(static_cast<std::size_t>(all) * block_places, 0.0);
-  std::vector<double> errors(static_cast<std::size_t>(all), 0.0), energy(errors);
+  std::vector<double> errors(static_cast<std::size_t>(all), 0.0);
+  const std::vector<double>& energy = plan.energy;
   const float inverse = 1 / step;
   const auto quantised = [&](float value) {
     const float steps = std::min(std::abs(value) * inverse + rounding, 8e6f);
@@ -289,13 +299,16 @@ void ComponentTable::encode(Plan& plan, float step) {
         for (std::size_t b = 0; b < blocks; ++b) {
           if (!plan.block_filled[b]) continue;
           const float* from = plan.transformed.data() + (b * all + c) * block_places;
+          float miss[block_places], back[block_places];
           for (int k = 0; k < block_places; ++k) {
             const int q = quantised(from[k]);
             magnitude[c * block_places + k] += std::abs(q);
-            const double miss = static_cast<double>(from[k]) - static_cast<double>(q) * static_cast<double>(step);
-            errors[c] += miss * miss;
-            energy[c] += static_cast<double>(from[k]) * static_cast<double>(from[k]);
+            miss[k] = from[k] - static_cast<float>(q) * step;
           }
+          // Only what is filled counts.
+          transform(miss, back, true);
+          for (int k = 0; k < block_places; ++k)
+            if (plan.mask[b] >> k & 1) errors[c] += static_cast<double>(back[k]) * static_cast<double>(back[k]);
         }
       },
       1);
