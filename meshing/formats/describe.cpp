@@ -13,6 +13,7 @@
 #include "meshing/core/error.h"
 #include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
+#include "meshing/formats/number_archive.h"
 #include "meshing/formats/output_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "meshing/formats/vtkhdf_file.h"
@@ -200,6 +201,15 @@ Json describe_image(const Image& image) {
   return result;
 }
 
+// Compressed functions: their lists by length, and bytes.
+Json describe_numbers(const std::string& path) {
+  const NumberArchive archive = read_number_archive(path);
+  Json result = {{"kind", archive.kind}};
+  for (const auto& [name, values] : archive.numbers) result["numbers"][name] = values.size();
+  for (const auto& [name, values] : archive.counts) result["lists"][name] = 8 * values.size();
+  return result;
+}
+
 Json describe_json(const std::string& path) {
   const Json document = Json::parse(read_text(path), nullptr, false, true);
   if (document.is_discarded()) throw InputError(path + ": not a JSON file");
@@ -264,11 +274,13 @@ nlohmann::json describe_artefact(const std::string& path) {
     result = describe_image(read_exr(path));
   else if (extension == ".png")
     result = describe_image(read_png(path));
+  else if (extension == ".stf")
+    result = describe_numbers(path);
   else if (extension == ".json")
     result = describe_json(path);
   else
     throw InputError(fmt::format(
-        "{}: unknown extension '{}'; expected .ply .obj .off .stl .vdb .hdf .exr .png or .json", path, extension));
+        "{}: unknown extension '{}'; expected .ply .obj .off .stl .vdb .stf .hdf .exr .png or .json", path, extension));
   result["path"] = path;
   result["bytes"] = bytes;
   result["xxh64"] = hash_file(path);

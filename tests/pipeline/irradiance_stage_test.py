@@ -98,6 +98,9 @@ class Irradiance(WorkplaceTest):
             compression = record(out)["results"]["compression"]
             self.assertGreater(compression["psnr"], least)
             self.assertGreater(compression["ratio"], 1)
+            said = run("describe", out)
+            self.assertEqual(said.returncode, 0, said.stderr)
+            self.assertIn("shell texture function, " + codec.replace("-", " "), said.stdout)
         done = run("irradiance", sample, "-o", self.at("stf.vdb"), *few, "--codec", "vector-quantisation")
         self.assertEqual(done.returncode, 2, done.stderr)
         done = run("irradiance", sample, "-o", self.at("stf.vdb"), *few, "--ratio", 48)
