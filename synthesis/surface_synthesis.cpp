@@ -71,7 +71,7 @@ class Synthesizer {
       }
       comparisons_ += optimize_windows(
           result_.surface, hierarchy.levels[l], level, l, textons_,
-          {.passes = options_.window_passes,
+          {.passes = options_.window_passes + (l > 0 && options_.window_passes > 0),
            .exhaustive = options_.method == SynthesisMethod::exhaustive,
            .evenness = l == 0 ? options_.final_evenness : options_.evenness},
           [&](std::int32_t v, int sample) { return price(v, sample) < SampleAreas::never; }, place_);

@@ -24,19 +24,20 @@ enum class SynthesisMethod {
 
 struct SynthesisOptions {
   SynthesisMethod method = SynthesisMethod::coherence;
-  int neighbourhood = 7;         // of the paper's sweep: places across
-  int coarse_passes = 6;         // correction passes at the coarsest level
-  int passes = 1;                // at each finer level
-  int final_passes = 1;          // at the finest
-  double jitter = 0.4;           // of upsampled coordinates, in texels of the level
-  int least_jitter_level = 2;    // finer levels are not jittered
-  int relaxation_sweeps = 2;     // of coordinates within a patch, after each correction pass
-  int window_passes = 3;         // then rounds of discrete optimisation of windows at every level, see optimize_windows
-  double evenness = 0.1;         // price of places used too often, see optimize_windows, at the coarse levels
-  double final_evenness = 0.01;  // and at the finest
-  double incoherence_penalty = 1;           // factor on the distance of candidates that do not continue a neighbour
-  double turn_penalty = 1.3;                // a further factor for those that are turned
-  Vec3 direction = Vec3(0, 1, 0);           // the texture's u runs this way where the surface allows
+  int neighbourhood = 7;       // of the paper's sweep: places across
+  int coarse_passes = 6;       // correction passes at the coarsest level
+  int passes = 1;              // at each finer level
+  int final_passes = 1;        // at the finest
+  double jitter = 0.4;         // of upsampled coordinates, in texels of the level
+  int least_jitter_level = 2;  // finer levels are not jittered
+  int relaxation_sweeps = 2;   // of coordinates within a patch, after each correction pass
+  int window_passes =
+      2;  // then rounds of discrete optimisation of windows, see optimize_windows; one more at coarse levels
+  double evenness = 0.1;           // price of places used too often, see optimize_windows, at the coarse levels
+  double final_evenness = 0.01;    // and at the finest
+  double incoherence_penalty = 1;  // factor on the distance of candidates that do not continue a neighbour
+  double turn_penalty = 1.3;       // a further factor for those that are turned
+  Vec3 direction = Vec3(0, 1, 0);  // the texture's u runs this way where the surface allows
   std::vector<DirectionConstraint> orient;  // where it must run otherwise
   SurfacePaint paint;
   double blend_width = 4;   // how far a sample may reach into another's area, texels

@@ -77,7 +77,7 @@ int main(int argc, char** argv) {
   program.option("--passes", options.passes, "", "correction passes at each level but the finest", 0, 100);
   program.option("--final-passes", options.final_passes, "", "correction passes at the finest level", 0, 100);
   program.option("--window-passes", options.window_passes, "",
-                 "then rounds of discrete optimisation of 5x5 windows, at every level", 0, 100);
+                 "then rounds of discrete optimisation of 5x5 windows, one more at coarse levels", 0, 100);
   program.option("--relaxation", options.relaxation_sweeps, "", "smoothing sweeps within patches after each pass", 0,
                  100);
   program.option("--jitter", options.jitter, "texels", "random shift of coordinates at coarse levels", 0, 10);
