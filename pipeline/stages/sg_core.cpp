@@ -75,12 +75,22 @@ int main(int argc, char** argv) {
                           {"--environment-samples"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
     const ShellVolume shell = read_shell_volume(shell_path);
+    require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress());
     const auto texture = open_shell_texture(texture_path);
+    if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
+      throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", texture_path,
+                                   texture->voxel(), shell_path, shell.frame.voxel));
+    if (!(shell.core.reduced_extinction() > 0).all())
+      throw InputError(shell_path + ": its core neither scatters nor absorbs; a dipole needs matter there");
+    warn_of_contradictions(shell, shell_path, scene, run.progress());
     const double ior = scene.object ? scene.object->ior : shell.ior;
     warn_of_darkness(scene, run.progress());
 
     run.start_timer("light");
     const SceneGeometry geometry(surface.mesh);
+    for (const Light& light : scene.lights)
+      if (const std::optional<Vec3> place = light_position(light); place && geometry.contains(*place))
+        throw InputError(scene_path + ": lights: a light stands inside the object");
     const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
     const IncidentLight light(frames, geometry, scene.lights, texture->directions(), environment_samples);
     CoreSurface core = core_surface(light, *texture, surface.coordinate, shell.thickness);
@@ -94,13 +104,14 @@ int main(int argc, char** argv) {
         std::sqrt(area / std::max<double>(1, static_cast<double>(core.points.size())) / std::numbers::pi);
     if (model == "matched")
       for (int c = 0; c < 3; ++c) options.returned[c] = channels[c].total();
-    const CoreExchange exchange = exchange_core_light(core, dipole_profile(channels, radius), options);
+    CoreExchange exchange = exchange_core_light(core, dipole_profile(channels, radius), options);
     if (exchange.greatest_return > 1.5)
       run.progress().warn(
           fmt::format("the core is thin or folded: by the dipole it would return up to {:.1f} times its light there, "
-                      "and was held to "
-                      "it; a thinner shell leaves more of a core",
+                      "and was held to it; a thinner shell leaves more of a core",
                       exchange.greatest_return));
+
+    spread_over_edges(core, 2 * shell.thickness, exchange.exitance);
 
     run.start_timer("write");
     TriangleMesh shape = surface.mesh;

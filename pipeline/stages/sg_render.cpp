@@ -68,6 +68,11 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
     throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
   const ShellVolume shell = read_shell_volume(files.shell);
   require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress());
+  if (std::abs(shell.ior - scene.object->ior) > 1e-6)
+    run.progress().warn(
+        fmt::format("{} is of refractive index {:g}, and so is its sample's light; the scene's {:g} is "
+                    "that of the surface alone",
+                    files.shell, shell.ior, scene.object->ior));
   const auto texture = naming(files.texture, [&] { return open_shell_texture(files.texture); });
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
     throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", files.texture,

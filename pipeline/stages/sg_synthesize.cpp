@@ -141,10 +141,6 @@ int main(int argc, char** argv) {
     run.results() = {{"vertices", texture.coordinate.size()},
                      {"level_vertices", levels},
                      {"sample_shares", shares},
-                     {"paint", paint_path.empty() ? nlohmann::json(nullptr)
-                                                  : nlohmann::json{{"moved", fit.moved},
-                                                                   {"median_distance_mm", fit.median},
-                                                                   {"most_distance_mm", fit.most}}},
                      {"symmetry", textons.layers.symmetry},
                      {"singularities_positive", positive},
                      {"singularities_negative", negative},
@@ -162,6 +158,9 @@ int main(int argc, char** argv) {
                      {"patch_entropy", quality.patch_entropy},
                      {"patches", quality.patches},
                      {"median_patch_vertices", quality.median_patch}};
+    if (!paint_path.empty())
+      run.results()["paint"] = {
+          {"moved", fit.moved}, {"median_distance_mm", fit.median}, {"most_distance_mm", fit.most}};
     run.print(fmt::format("{} vertices, window distance {:.3f} (random {:.3f}, copy {:.3f}), coherence {:.2f}",
                           texture.coordinate.size(), quality.window_distance, quality.random, quality.tiling,
                           quality.coherence));

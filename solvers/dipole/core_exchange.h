@@ -14,6 +14,8 @@ struct CoreSurface {
   std::vector<float> areas;           // of the core's surface that each stands for, mm²; 0 where the core has ended
   std::vector<Rgb> power;             // that comes down from the shell, lit from outside, W
   std::vector<Rgb> shell_reflection;  // share of what leaves the core that comes down again; empty: none
+  // Of each point, where it lies: 1 on the core, towards 0 where the shell leaves none; empty: all on it.
+  std::vector<float> presence;
 };
 
 struct CoreExchangeOptions {

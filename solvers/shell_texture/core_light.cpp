@@ -3,6 +3,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <utility>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -54,6 +55,7 @@ CoreSurface core_surface(const IncidentLight& light, const ShellTextureLookup& t
     for (int k = 0; k < 3; ++k) surface.areas[mesh.faces(f, k)] += static_cast<float>(std::max(0.0, below) / 3);
   }
   for (std::size_t i = 0; i < n; ++i) surface.areas[i] *= there[i];
+  surface.presence = std::move(there);
   parallel_for(
       n,
       [&](std::size_t i) {
@@ -64,6 +66,29 @@ CoreSurface core_surface(const IncidentLight& light, const ShellTextureLookup& t
       },
       64);
   return surface;
+}
+
+void spread_over_edges(const CoreSurface& surface, double reach, std::vector<Rgb>& exitance) {
+  std::vector<int> present;
+  for (std::size_t i = 0; i < surface.presence.size(); ++i)
+    if (surface.presence[i] >= 1) present.push_back(static_cast<int>(i));
+  if (present.empty() || present.size() == surface.presence.size()) return;
+  VertexMatrix points(static_cast<Eigen::Index>(present.size()), 3);
+  for (std::size_t k = 0; k < present.size(); ++k)
+    points.row(static_cast<Eigen::Index>(k)) = surface.points[present[k]].cast<double>().transpose();
+  const NearestVertexQuery query(points);
+  const std::vector<Rgb> before = exitance;
+  parallel_for(
+      surface.presence.size(),
+      [&](std::size_t i) {
+        if (surface.presence[i] >= 1) return;
+        const Vec3 point = surface.points[i].cast<double>();
+        const int nearest = present[query.nearest(point)];
+        const double distance = (surface.points[nearest].cast<double>() - point).norm();
+        if (distance > reach) return;
+        exitance[i] = surface.presence[i] * before[i] + (1 - surface.presence[i]) * before[nearest];
+      },
+      64);
 }
 
 }  // namespace shellgrid

@@ -15,4 +15,8 @@ namespace shellgrid {
 CoreSurface core_surface(const IncidentLight& light, const ShellTextureLookup& texture,
                          const std::vector<Vec2f>& coordinates, double thickness);
 
+// Points beyond the core's edges, as below a convex edge of the surface, see the core beside them: they take the
+// exitance of the nearest point that lies on it, if one is within `reach` mm.
+void spread_over_edges(const CoreSurface& surface, double reach, std::vector<Rgb>& exitance);
+
 }  // namespace shellgrid

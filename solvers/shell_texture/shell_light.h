@@ -53,6 +53,7 @@ class ShellLight {
 
     // Voxel (i, j, k) of the shell's grid.
     VoxelFluence at(const Vec3i& voxel);
+    int nearest_vertex(const Vec3& point) { return vertex_ = light_.vertices_.nearest(point, vertex_); }
     // φ of the multiple kind about a point, by its grid coordinates: trilinear between voxels of matter. `vertex` is
     // set to that of the nearest one. None where there is no matter.
     Rgb multiple(const Vec3& index, std::int32_t& vertex);

@@ -137,7 +137,7 @@ class ShellPicture {
     double t = 0;
     std::int64_t steps = 0;
     std::int32_t vertex = -1;
-    float depth = 0;
+    float depth = -1;  // of the last voxel, in voxels; none yet
     bool in_core = false;
     while (t < end) {
       int axis = 0;
@@ -152,9 +152,15 @@ class ShellPicture {
       depth = shell.texture_coordinate.value(voxel.x(), voxel.y(), voxel.z()).z();
       const auto length = static_cast<float>(std::max(0.0, leave - t));
       if (length > 0) {
-        const Rgb extinction = shell.extinction.value(voxel.x(), voxel.y(), voxel.z()).array();
-        const Rgb scattering = extinction * shell.albedo.value(voxel.x(), voxel.y(), voxel.z()).array();
-        const Vec3f anisotropy = shell.anisotropy.value(voxel.x(), voxel.y(), voxel.z());
+        const Rgb true_extinction = shell.extinction.value(voxel.x(), voxel.y(), voxel.z()).array();
+        Rgb extinction = true_extinction;
+        Rgb scattering = extinction * shell.albedo.value(voxel.x(), voxel.y(), voxel.z()).array();
+        Vec3f anisotropy = shell.anisotropy.value(voxel.x(), voxel.y(), voxel.z());
+        if (settings_.similarity) {
+          extinction -= scattering * anisotropy.array();
+          scattering *= 1 - anisotropy.array();
+          anisotropy.setZero();
+        }
         const int parts =
             std::clamp(static_cast<int>(std::ceil(length * extinction.maxCoeff() / step_depth)), 1, most_steps);
         const float part = length / static_cast<float>(parts);
@@ -169,7 +175,7 @@ class ShellPicture {
           const Vec3 place =
               start + (t + static_cast<double>(part * static_cast<float>(p) + middle)) * per_mm * sight.direction;
           const Rgb source = reader.multiple(place, vertex) / (4 * pi) +
-                             reader.beams(voxel, place, sight.direction, anisotropy, extinction);
+                             reader.beams(voxel, place, sight.direction, anisotropy, true_extinction);
           sum += left * scattering * weighed * source;
           left *= through;
         }
@@ -254,7 +260,8 @@ class ShellPicture {
     };
     if (matter(voxel)) return true;
     // Below the shell's deepest voxels the core begins.
-    if (static_cast<double>(depth_before) > shell.thickness / shell.frame.voxel - 1.5) return false;
+    if (depth_before >= 0 && static_cast<double>(depth_before) > shell.thickness / shell.frame.voxel - 1.5)
+      return false;
     const Vec3i from = voxel;
     int nearest = std::numeric_limits<int>::max();
     for (int x = -1; x <= 1; ++x)
@@ -285,6 +292,11 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
                                    const Camera& camera, const ShellTextureSettings& settings,
                                    ShellTextureStatistics* statistics, Progress& progress) {
   PictureStage stage(scene.frames.mesh, lights, camera, settings.render);
+  for (const Light& light : lights)
+    if (const std::optional<Vec3> place = light_position(light); place && stage.geometry.contains(*place))
+      throw InputError("lights: a light stands inside the object");
+  for (const Rgb& value : scene.core)
+    if (!value.isFinite().all() || (value < 0).any()) throw InputError("the core's exitance is negative or not finite");
   const IncidentLight incident(scene.frames, stage.geometry, lights, scene.texture.directions(),
                                settings.render.environment_samples);
   const ShellLight light(scene.shell, incident, scene.texture, scene.core,

@@ -24,7 +24,11 @@ struct ShellTextureSettings {
   bool outside_light = true;     // light from outside, scattered within the shell
   bool core_light = true;        // light from the core, through the shell [STF fig. 8]
   bool unscattered_core = true;  // that part of it which the shell has not scattered; the paper leaves it out
-  int mirrors = 3;               // surfaces that a ray is mirrored or passed on by, one after another
+  // Matter of anisotropy g is seen as matter of g = 0 with σ_s (1 − g), and its beams as light that has been scattered:
+  // with isotropic I_m, white matter in even light stays as bright as it is only so. False: as the paper has it, beams
+  // by their phase function, the rest evenly by the full σ_s.
+  bool similarity = true;
+  int mirrors = 10;  // surfaces that a ray is mirrored or passed on by, one after another
 };
 
 struct ShellTextureStatistics {

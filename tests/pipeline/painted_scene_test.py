@@ -50,7 +50,7 @@ class PaintedSceneTest(WorkplaceTest):
             "surface.ply", "distance.vdb", "sample.vdb", "sample-2.vdb", "core-sample.vdb", "textons.vdb", "synthesized.ply",
             "shell.vdb"]))
         vertices, _ = read_ply(self.at("out", "synthesized.ply"))
-        far = numpy.abs(vertices["z"]) > 2
+        far = numpy.abs(vertices["z"]) > 2.5  # the border is found by synthesis, within some texels of .5 mm
         self.assertTrue(((vertices["sample"] == 1) == (vertices["z"] > 0))[far].all())
         self.assertLess(abs(vertices["scale"] - 0.9 * (1 + 0.5 * vertices["y"] / 7)).max(), 0.02)
         self.assertTrue(record(self.at("out", "synthesized.ply"))["results"]["paint"]["moved"])

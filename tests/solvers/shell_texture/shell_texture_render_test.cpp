@@ -117,9 +117,22 @@ TEST(ShellTextureRender, ScattersBeamsByTheirPhaseFunction) {
   const Ball ball(0.6f);
   ShellTextureSettings settings;
   settings.core_light = false;
+  settings.similarity = false;
   // Straight back: the light comes along the ray of sight, to within the table's directions about the zenith.
   const double back = (1 - 0.36) / (4 * pi * std::pow(1 + 0.36 + 1.2, 1.5));
   EXPECT_NEAR(middle(ball.picture(settings), "exitance.G") / expected(1, true, false, back), 1, 0.03);
+}
+
+// As matter of reduced scattering that scatters evenly.
+TEST(ShellTextureRender, TakesForwardScatteringForLess) {
+  const Ball ball(0.6f);
+  ShellTextureSettings settings;
+  settings.core_light = false;
+  const double scattering = sigma * albedo * 0.4, extinction = sigma * (1 - albedo) + scattering;
+  const double fluence = 6 * static_cast<double>(multiple_value + single_value);
+  const double seen = scattering / extinction * (1 - std::exp(-extinction * seen_thickness)) * fluence / (4 * pi) *
+                      fresnel_transmittance(1, ior) / (ior * ior);
+  EXPECT_NEAR(middle(ball.picture(settings), "exitance.G") / seen, 1, 0.02);
 }
 
 TEST(ShellTextureRender, LeavesOutWhatThePaperLeavesOut) {
