@@ -85,7 +85,7 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
       throw InputError(fmt::format("{}: {} vertices, but {} has {}", files.core, core_mesh.mesh.vertex_count(),
                                    surface_path, surface.mesh.vertex_count()));
   }
-  const TransportObject object(surface.mesh, shell, scene.object->ior);
+  const TransportObject object(surface.mesh, shell, scene.object->ior, nullptr, false);
   const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
   ShellTextureSettings shown{settings};
   shown.outside_light = files.light != "core";

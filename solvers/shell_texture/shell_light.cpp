@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <utility>
 
 #include "meshing/core/error.h"
 #include "solvers/transport/phase.h"
@@ -56,10 +57,9 @@ Vec3 ShellLight::refracted_direction(int direction) const {
   return {within.x(), within.y(), std::sqrt(std::max(0.0, 1 - within.squaredNorm()))};
 }
 
-std::shared_ptr<const ShellLight::VertexLight> ShellLight::light_at(int vertex) const {
-  std::shared_ptr<const VertexLight> light = std::atomic_load(&lights_[vertex]);
-  if (light) return light;
-  auto made = std::make_shared<VertexLight>();
+const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
+  if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
+  auto made = std::make_unique<VertexLight>();
   made->light = texture_.prepare(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
   Vec3 sum = Vec3::Zero();
   double weights = 0;
@@ -69,10 +69,12 @@ std::shared_ptr<const ShellLight::VertexLight> ShellLight::light_at(int vertex) 
     weights += weight;
   }
   if (weights > 0) made->towards = (sum / weights).cast<float>();
-  light = made;
-  std::shared_ptr<const VertexLight> none;
-  if (std::atomic_compare_exchange_strong(&lights_[vertex], &none, light)) ++lit_vertices_;
-  return light;
+  const std::lock_guard lock(mutex_);
+  if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
+  owned_lights_.push_back(std::move(made));
+  lights_[vertex].store(owned_lights_.back().get(), std::memory_order_release);
+  ++lit_vertices_;
+  return *owned_lights_.back();
 }
 
 std::size_t ShellLight::sample_voxel(const Vec3f& place, Vec3f& offset) const {
@@ -95,12 +97,12 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
   vertex = vertices_.nearest(shell_.frame.to_world(voxel), vertex);
   value.vertex = vertex;
   const Vec3f& place = shell_.texture_coordinate.leaf_values(leaf_index)[offset];
-  const std::shared_ptr<const VertexLight> light = light_at(vertex);
+  const VertexLight& light = light_at(vertex);
   const std::size_t sampled = sample_voxel(place, value.offset);
   value.whole = texture_.matter()[sampled] > 0.999f;
-  const VoxelLight around = texture.at(place, light->light);
+  const VoxelLight around = texture.at(place, light.light);
   value.multiple = around.multiple.array().max(0);
-  value.single = (value.whole ? texture.voxel_light(sampled, light->light).single : around.single).array().max(0);
+  value.single = (value.whole ? texture.voxel_light(sampled, light.light).single : around.single).array().max(0);
   // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
   if (has_core()) value.multiple += 2 * core_[vertex] * texture.back(place).array().max(0);
   ++voxels_;
@@ -151,7 +153,7 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
                               const Rgb& extinction) {
   const VoxelFluence value = at(voxel);
   if (!value.matter || !light_.parts_.outside) return Rgb::Zero();
-  const std::shared_ptr<const VertexLight> light = light_.light_at(value.vertex);
+  const VertexLight& light = light_.light_at(value.vertex);
   const Mat3 frame = light_.incident_.frames().frame(value.vertex);
   Rgb source;
   if (anisotropy.cwiseAbs().maxCoeff() < static_cast<float>(isotropic_below)) {
@@ -162,7 +164,7 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
       phase_direction_ = direction;
       phase_anisotropy_ = anisotropy;
       const Vec3 seen = frame * direction;
-      std::vector<DirectionWeight> list = light->light.list;
+      std::vector<DirectionWeight> list = light.light.list;
       for (DirectionWeight& one : list) {
         const double cosine = light_.refracted_direction(one.direction).dot(seen);
         for (int c = 0; c < 3; ++c)
@@ -181,10 +183,10 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
   // e^{−σ s} over its mean in the voxel, s the way to the voxel's middle along the beam.
   const Vec3f from_middle = value.offset + (frame * (index - voxel.cast<double>())).cast<float>();
   const auto edge = static_cast<float>(light_.shell_.frame.voxel);
-  const float ahead = from_middle.dot(light->towards);
+  const float ahead = from_middle.dot(light.towards);
   Rgb mean = Rgb::Ones();
   for (int a = 0; a < 3; ++a) {
-    const Rgb half = extinction * (edge * light->towards[a] / 2), square = half.square();
+    const Rgb half = extinction * (edge * light.towards[a] / 2), square = half.square();
     mean *= (half.abs() > 2)
                 .select((half.abs().exp() - (-half.abs()).exp()) / (2 * half.abs().max(1e-6f)),
                         1 + square / 6 * (1 + square / 20 * (1 + square / 42)));

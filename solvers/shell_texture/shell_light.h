@@ -87,7 +87,7 @@ class ShellLight {
     PreparedLight light;
     Vec3f towards = Vec3f::Zero();  // mean direction of the refracted beams, in the sample's frame: shorter, if several
   };
-  std::shared_ptr<const VertexLight> light_at(int vertex) const;
+  const VertexLight& light_at(int vertex) const;
   // The table's direction within matter below a smooth surface.
   Vec3 refracted_direction(int direction) const;
   std::size_t sample_voxel(const Vec3f& place, Vec3f& offset) const;
@@ -102,7 +102,8 @@ class ShellLight {
   mutable std::vector<std::atomic<Leaf*>> leaves_;
   mutable std::vector<std::unique_ptr<Leaf>> owned_;
   mutable std::mutex mutex_;
-  mutable std::vector<std::shared_ptr<const VertexLight>> lights_;  // of vertices, read and written atomically
+  mutable std::vector<std::atomic<const VertexLight*>> lights_;  // of vertices
+  mutable std::vector<std::unique_ptr<const VertexLight>> owned_lights_;
   mutable std::atomic<std::int64_t> voxels_{0}, lit_vertices_{0};
 };
 

@@ -188,7 +188,7 @@ class MatterList {
 }  // namespace
 
 ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside,
-                         std::vector<Vec3i>* free_voxels, const LeafMethod* method)
+                         std::vector<Vec3i>* free_voxels, const LeafMethod* method, bool leaps)
     : voxel_(shell.frame.voxel), per_voxel_(1 / shell.frame.voxel) {
   check_transport_material(shell.core);
   const Sources sources(shell, inside);
@@ -271,7 +271,8 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
   std::vector<Vec3i> leaf_corners;
   for (int index = 0; index < grid.leaf_count(); ++index)
     leaf_corners.push_back(8 * (grid.leaf_coordinate(index) - grid.lower_leaf()));
-  prepare_leaps(materials, leaf_corners);
+  leaps_of_matter_.assign(materials.size(), -1);
+  if (leaps) prepare_leaps(materials, leaf_corners);
   thin_ = !method && methods_.delta > 0 && majorant_ * voxel_ < thin_collisions && least_mean > mild * majorant_;
   methods_.one_majorant = thin_;
   methods_.without_leaf = top_.size() - leaves_.size();

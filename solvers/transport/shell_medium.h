@@ -36,9 +36,9 @@ class ShellMedium {
  public:
   // Voxels that are not matter but space, for the surface of free space: the shell's, and beyond the outer surface
   // those above them. `inside`: whether a point lies within the outer surface. method: nothing, or one that all leaves
-  // take. Throws: InputError for coefficients that no matter has.
+  // take. leaps: whether paths will ask for them. Throws: InputError for coefficients that no matter has.
   ShellMedium(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside,
-              std::vector<Vec3i>* free_voxels = nullptr, const LeafMethod* method = nullptr);
+              std::vector<Vec3i>* free_voxels = nullptr, const LeafMethod* method = nullptr, bool leaps = true);
 
   const LeafMethodCounts& methods() const { return methods_; }
 

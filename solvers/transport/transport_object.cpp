@@ -32,14 +32,14 @@ TransportObject::TransportObject(const TriangleMesh& mesh, const Material& mater
 }
 
 TransportObject::TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior,
-                                 const LeafMethod* method)
+                                 const LeafMethod* method, bool leaps)
     : mesh_(mesh), ior_(ior), medium_(HomogeneousMedium(Material())) {
   if (!(ior >= 1) || !std::isfinite(ior)) throw InputError("the refractive index must be at least 1");
   surface_ = std::make_unique<TransportSurface>(mesh_, TriangleMesh());
   const auto inside = [this](const Vec3& point) { return contains(point); };
   std::vector<Vec3i> free_voxels;
-  medium_ = shell.core_interpolated ? ShellMedium(with_core_voxels(shell, inside), inside, &free_voxels, method)
-                                    : ShellMedium(shell, inside, &free_voxels, method);
+  medium_ = shell.core_interpolated ? ShellMedium(with_core_voxels(shell, inside), inside, &free_voxels, method, leaps)
+                                    : ShellMedium(shell, inside, &free_voxels, method, leaps);
   free_space_ = voxel_boundary(shell.frame, free_voxels);
   if (free_space_.face_count() > 0) surface_ = std::make_unique<TransportSurface>(mesh_, free_space_);
   clearance_ = surface_clearance(mesh_, free_space_);

@@ -21,8 +21,10 @@ class TransportObject {
   TransportObject(const TriangleMesh& mesh, const Material& material, double ior);
 
   // A shell of voxels over its core, which is homogeneous or, interpolated, made of voxels too. Where the shell has
-  // free space, the surface of that is the object's, too. `method`: nothing, or one for all leaves. Throws: InputError.
-  TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior, const LeafMethod* method = nullptr);
+  // free space, the surface of that is the object's, too. `method`: nothing, or one for all leaves; `leaps`: whether
+  // paths will go through it, or rays of sight only. Throws: InputError.
+  TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior, const LeafMethod* method = nullptr,
+                  bool leaps = true);
 
   const TriangleMesh& mesh() const { return mesh_; }
   const TriangleMesh& free_space() const { return free_space_; }  // its surface; no faces where there is none
