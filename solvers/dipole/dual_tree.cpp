@@ -129,7 +129,7 @@ class DualTree {
 
   std::vector<Rgb> sums(DualTreeStatistics& statistics) {
     find_bounds();
-    choose_tasks();
+    tasks_ = target_nodes_of(std::max(PointTree::leaf_points, target_tree_.nodes()[0].count() / task_share));
     interactions_.resize(tasks_.size());
     counts_.resize(tasks_.size());
     coefficient_at_.assign(target_tree_.nodes().size() * PointTree::orders, -1);
@@ -156,17 +156,7 @@ class DualTree {
     const auto& nodes = target_tree_.nodes();
     bounds_.assign(nodes.size(), Float4{});
     std::vector<std::uint8_t> bound(nodes.size(), 0);
-    std::vector<std::int32_t> roots = {}, stack = {0};
-    while (!stack.empty()) {
-      const std::int32_t n = stack.back();
-      stack.pop_back();
-      if (nodes[n].is_leaf() || nodes[n].count() <= bound_points) {
-        roots.push_back(n);
-      } else {
-        stack.push_back(nodes[n].left);
-        stack.push_back(nodes[n].right);
-      }
-    }
+    const std::vector<std::int32_t> roots = target_nodes_of(bound_points);
     parallel_for(
         roots.size(), [&](std::size_t i) { bounds_[roots[i]] = bound_of(nodes[roots[i]]); }, 4);
     Float4 greatest = {};
@@ -219,20 +209,21 @@ class DualTree {
     return sum;
   }
 
-  void choose_tasks() {
+  // A partition of the targets: the largest nodes of at most so many points, or leaves.
+  std::vector<std::int32_t> target_nodes_of(int most) const {
     const auto& nodes = target_tree_.nodes();
-    const int most = std::max(PointTree::leaf_points, nodes[0].count() / task_share);
-    std::vector<std::int32_t> stack = {0};
+    std::vector<std::int32_t> found, stack = {0};
     while (!stack.empty()) {
       const std::int32_t n = stack.back();
       stack.pop_back();
       if (nodes[n].is_leaf() || nodes[n].count() <= most) {
-        tasks_.push_back(n);
+        found.push_back(n);
       } else {
         stack.push_back(nodes[n].right);
         stack.push_back(nodes[n].left);
       }
     }
+    return found;
   }
 
   // The least order at which a node may be interpolated; as_points where its points are no more than that; −1: none.

@@ -64,13 +64,4 @@ std::vector<DirectionWeight> IncidentLight::at(int vertex) const {
   return all;
 }
 
-Rgb IncidentLight::irradiance(int vertex) const {
-  const Vec3 normal = frames_.normals.row(vertex).transpose();
-  Rgb sum = Rgb::Zero();
-  visit_beams(vertex, [&](const IncidentBeam& beam) {
-    sum += beam.irradiance * static_cast<float>(beam.direction.dot(normal));
-  });
-  return sum;
-}
-
 }  // namespace shellgrid

@@ -38,9 +38,6 @@ class IncidentLight {
   // Light that reaches a vertex, by the table's directions: irradiances across them. Ordered by direction, each once.
   std::vector<DirectionWeight> at(int vertex) const;
 
-  // Mean cosine with which the light meets the surface, and so on: irradiance on the vertex' plane, W mm⁻².
-  Rgb irradiance(int vertex) const;
-
   const IncidentLightStatistics& statistics() const { return statistics_; }
   const TexturedFrames& frames() const { return frames_; }
 
