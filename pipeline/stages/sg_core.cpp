@@ -128,16 +128,16 @@ int main(int argc, char** argv) {
                      {"entering_power", list(entering)},
                      {"leaving_power", list(leaving)},
                      {"bounces", exchange.bounces},
-                     {"series_share", exchange.series_share},
+                     {"residual", exchange.residual},
                      {"greatest_return", exchange.greatest_return},
-                     {"evaluations", exchange.statistics.evaluations},
+                     {"evaluations", exchange.evaluations},
                      {"pairs", static_cast<double>(core.points.size()) * static_cast<double>(core.points.size())},
                      {"tree_bytes", exchange.statistics.bytes},
                      {"shadow_rays", light.statistics().shadow_rays.load()},
                      {"shadow_rays_skipped", light.statistics().shadow_rays_skipped.load()}};
     run.print(fmt::format("{}: {} points, {} bounces, {:.3g} of all pairs evaluated", run.output(), core.points.size(),
                           exchange.bounces,
-                          static_cast<double>(exchange.statistics.evaluations) /
+                          static_cast<double>(exchange.evaluations) /
                               (static_cast<double>(core.points.size()) * static_cast<double>(core.points.size()))));
   });
 }

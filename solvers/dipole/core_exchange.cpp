@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "solvers/dipole/core_exchange.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
+#include <cmath>
+#include <utility>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -10,14 +13,77 @@ namespace shellgrid {
 
 namespace {
 
-constexpr double later_tolerance = 3;  // bounces are smoother than the light that comes first, and less
-constexpr float greatest_scale = 4;    // up to which points get back what a small core loses
+constexpr double bounce_tolerance = 4;  // of bounces, over that of the sum at the end, which makes all of them exact
+constexpr double bounced_share = 0.6;   // of the tolerance: each bounce's errors come again with the next one
+constexpr int least_steps = 4;          // bounces before it is judged whether they shrink
+constexpr float greatest_scale = 4;     // up to which points get back what a small core loses
 
 Eigen::Array3d integral(const CoreSurface& surface, const std::vector<Rgb>& values) {
   return parallel_sum(values.size(), Eigen::Array3d(Eigen::Array3d::Zero()), [&](std::size_t i) {
     return Eigen::Array3d(values[i].cast<double>() * static_cast<double>(surface.areas[i]));
   });
 }
+
+// Bounces u_0, u_1 = T u_0, … of a linear T and the sum of all there are, M = u_0 + T M, as u_0 + Σ_j c_j u_j with the
+// c by which it misses that least, relative to itself: what GMRES finds in as many steps. Each channel has its own.
+class BounceSum {
+ public:
+  explicit BounceSum(const CoreSurface& surface) : surface_(surface) {}
+
+  void add(std::vector<Rgb> bounce) { bounces_.push_back(std::move(bounce)); }
+  int count() const { return static_cast<int>(bounces_.size()); }
+
+  // The sum; `residual`: root mean square over the surface of what it misses that by, relative to it.
+  std::vector<Rgb> sum(double& residual) const {
+    const std::size_t n = surface_.points.size();
+    const int unknown = count() - 2;  // the last bounce is only seen
+    std::vector<Rgb> total = bounces_[0];
+    residual = 1;
+    if (unknown < 1) return total;
+    std::vector<Rgb> plain(n, Rgb::Zero());
+    for (const std::vector<Rgb>& bounce : bounces_)
+      for (std::size_t i = 0; i < n; ++i) plain[i] += bounce[i];
+    residual = 0;
+    const std::size_t stride = n / most_judged + 1, judged = (n + stride - 1) / stride;
+    double area = 0;
+    for (std::size_t i = 0; i < n; i += stride) area += static_cast<double>(surface_.areas[i]);
+    for (int c = 0; c < 3; ++c) {
+      // Products of u_1 and of the u_j − u_{j+1}, over the squared sum, by area.
+      using Products = Eigen::Matrix<double, most_unknown + 1, most_unknown + 1>;
+      const Products products = parallel_sum(judged, Products(Products::Zero()), [&](std::size_t k) -> Products {
+        const std::size_t i = k * stride;
+        const auto whole = static_cast<double>(plain[i][c]);
+        if (!(whole > 0)) return Products::Zero();
+        Eigen::Matrix<double, most_unknown + 1, 1> row = Eigen::Matrix<double, most_unknown + 1, 1>::Zero();
+        row[0] = static_cast<double>(bounces_[1][i][c]) / whole;
+        for (int j = 1; j <= unknown; ++j)
+          row[j] = (static_cast<double>(bounces_[j][i][c]) - static_cast<double>(bounces_[j + 1][i][c])) / whole;
+        return static_cast<double>(surface_.areas[i]) * row * row.transpose();
+      });
+      Eigen::MatrixXd normal = products.block(1, 1, unknown, unknown);
+      const Eigen::VectorXd right = products.block(1, 0, unknown, 1);
+      normal.diagonal() *= 1 + 1e-10;
+      Eigen::VectorXd weights = normal.ldlt().solve(right);
+      if (!weights.allFinite()) weights = Eigen::VectorXd::Ones(unknown);
+      const double missed =
+          products(0, 0) - 2 * weights.dot(right) + weights.dot(products.block(1, 1, unknown, unknown) * weights);
+      if (area > 0) residual = std::max(residual, std::sqrt(std::max(0.0, missed) / area));
+      for (int j = 1; j <= unknown; ++j) {
+        const auto weight = static_cast<float>(weights[j - 1]);
+        for (std::size_t i = 0; i < n; ++i) total[i][c] += weight * bounces_[j][i][c];
+      }
+    }
+    for (Rgb& value : total) value = value.max(0);
+    return total;
+  }
+
+  static constexpr int most_unknown = 12;
+
+ private:
+  static constexpr std::size_t most_judged = 8000;  // points, spread evenly
+  const CoreSurface& surface_;
+  std::vector<std::vector<Rgb>> bounces_;
+};
 
 }  // namespace
 
@@ -34,13 +100,15 @@ CoreExchange exchange_core_light(const CoreSurface& surface, const RadialProfile
       throw InputError("the shell's reflection is not between 0 and 1");
   }
   CoreExchange result;
-  DualTreeOptions later = options.sums;
-  later.tolerance = std::min(0.5, later_tolerance * later.tolerance);
-  const auto sums = [&](const std::vector<Rgb>& powers, bool first = false) {
+  DualTreeOptions sum_options = options.sums;
+  if (!surface.shell_reflection.empty() && options.bounces > 0) sum_options.tolerance *= bounced_share;
+  DualTree tree(surface.points, surface.points, profile, sum_options);
+  const double later = std::min(0.5, bounce_tolerance * sum_options.tolerance);
+  const auto sums = [&](const std::vector<Rgb>& powers, double tolerance) {
     DualTreeStatistics statistics;
-    std::vector<Rgb> values =
-        dual_tree_sums(surface.points, surface.points, powers, profile, first ? options.sums : later, &statistics);
-    if (result.statistics.nodes == 0) result.statistics = statistics;
+    std::vector<Rgb> values = tree.sums(powers, tolerance, &statistics);
+    result.evaluations += statistics.evaluations;
+    if (tolerance == sum_options.tolerance) result.statistics = statistics;
     return values;
   };
   // By symmetry what a point returns in all is the sum of the areas there.
@@ -48,7 +116,7 @@ CoreExchange exchange_core_light(const CoreSurface& surface, const RadialProfile
   if (std::all_of(options.returned.begin(), options.returned.end(), [](double r) { return r >= 0; })) {
     std::vector<Rgb> areas(n);
     for (std::size_t i = 0; i < n; ++i) areas[i] = Rgb::Constant(surface.areas[i]);
-    scale = sums(areas);
+    scale = sums(areas, sum_options.tolerance);
     const Rgb most(static_cast<float>(options.returned[0]), static_cast<float>(options.returned[1]),
                    static_cast<float>(options.returned[2]));
     for (Rgb& s : scale) {
@@ -57,43 +125,47 @@ CoreExchange exchange_core_light(const CoreSurface& surface, const RadialProfile
       s = (most > 0).select((most / s.max(1e-30f)).min(greatest_scale), Rgb::Ones());
     }
   }
+  // What leaves for what comes.
+  const auto leaving = [&](const std::vector<Rgb>& coming, double tolerance) {
+    if (scale.empty()) return sums(coming, tolerance);
+    std::vector<Rgb> powers(n);
+    for (std::size_t i = 0; i < n; ++i) powers[i] = coming[i] * scale[i];
+    return sums(powers, tolerance);
+  };
+  // What comes down again of what leaves.
+  const auto returned = [&](const std::vector<Rgb>& exitance) {
+    std::vector<Rgb> coming(n);
+    for (std::size_t i = 0; i < n; ++i) coming[i] = surface.shell_reflection[i] * surface.areas[i] * exitance[i];
+    return coming;
+  };
   result.power = surface.power;
-  result.exitance.assign(n, Rgb::Zero());
-  std::vector<Rgb> coming = surface.power, powers(n);
-  Eigen::Array3d before = Eigen::Array3d::Zero();
-  for (int bounce = 0;; ++bounce) {
-    for (std::size_t i = 0; i < n; ++i) powers[i] = scale.empty() ? coming[i] : Rgb(coming[i] * scale[i]);
-    const std::vector<Rgb> leaving = sums(powers, bounce == 0);
-    result.bounces = bounce;
-    const Eigen::Array3d now = integral(surface, leaving);
-    for (std::size_t i = 0; i < n; ++i) result.exitance[i] += leaving[i];
-    if (surface.shell_reflection.empty() || bounce >= options.bounces || !(now > 0).any()) break;
-    if (bounce > 0) {
-      // Each channel's ratio of bounces; what would follow is a geometric series.
-      const Eigen::Array3d ratio = (before > 0).select(now / before.max(1e-300), 0.0);
-      if (bounce >= 4 && (ratio >= 1).any())
+  if (!surface.shell_reflection.empty() && options.bounces > 0 && n > 0) {
+    // All bounces loosely; then the whole once more, exactly.
+    BounceSum series(surface);
+    std::vector<Rgb> bounce = leaving(surface.power, later), all;
+    Eigen::Array3d before = integral(surface, bounce);
+    series.add(bounce);
+    while ((before > 0).any()) {
+      all = series.sum(result.residual);
+      if (series.count() > options.bounces || series.count() == BounceSum::most_unknown + 2 ||
+          result.residual <= options.tolerance)
+        break;
+      bounce = leaving(returned(bounce), later);
+      const Eigen::Array3d now = integral(surface, bounce);
+      if (series.count() >= least_steps && (now >= before && now > 0).any())
         throw NumericalError(
             "light between shell and core grows from bounce to bounce: on a folded core the dipole returns more light "
             "than enters");
-      const Eigen::Array3d rest = ratio.min(0.999) / (1 - ratio.min(0.999)),
-                           share = (now > 0).select(now * rest / integral(surface, result.exitance).max(1e-300), 0.0);
-      // The series is trusted to a tenth of itself.
-      if (share.maxCoeff() * 0.1 <= options.tolerance || bounce == options.bounces - 1) {
-        result.series_share = share.maxCoeff();
-        for (std::size_t i = 0; i < n; ++i) {
-          const Rgb more = leaving[i] * rest.cast<float>();
-          result.exitance[i] += more;
-          result.power[i] += surface.shell_reflection[i] * surface.areas[i] * (leaving[i] + more);
-        }
-        break;
-      }
+      before = now;
+      series.add(bounce);
     }
-    for (std::size_t i = 0; i < n; ++i) {
-      coming[i] = surface.shell_reflection[i] * surface.areas[i] * leaving[i];
-      result.power[i] += coming[i];
+    result.bounces = series.count();
+    if (!all.empty()) {
+      const std::vector<Rgb> more = returned(all);
+      for (std::size_t i = 0; i < n; ++i) result.power[i] += more[i];
     }
-    before = now;
   }
+  result.exitance = leaving(result.power, sum_options.tolerance);
   return result;
 }
 

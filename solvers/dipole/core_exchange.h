@@ -2,6 +2,7 @@
 // Light that goes to and fro between a shell and its core.
 #pragma once
 #include <array>
+#include <cstdint>
 #include <vector>
 
 #include "solvers/dipole/dual_tree.h"
@@ -22,7 +23,7 @@ struct CoreExchangeOptions {
   DualTreeOptions sums;
   // The paper's is 0: light that comes out of the core does not enter it again. Source: [STF §7].
   int bounces = 12;         // at most
-  double tolerance = 2e-3;  // share of the exitance's integral that may be wrong by what is not followed further
+  double tolerance = 4e-3;  // of what is not followed further: root mean square over the surface, relative
   // The share of its light that each point is to get back in all, that of a plane: a folded or thin core would return
   // more, a small one, which the profile's far end misses, less; so each point's light is scaled, up to fourfold.
   // White matter then returns all light, whatever its shape. Negative: not asked for, as in the paper.
@@ -32,15 +33,18 @@ struct CoreExchangeOptions {
 struct CoreExchange {
   std::vector<Rgb> exitance;  // M of each point, into the shell, W mm⁻²
   std::vector<Rgb> power;     // all that enters, with what has come down again, W
-  int bounces = 0;
-  double series_share = 0;        // of the exitance: what was added for bounces that were not followed
+  int bounces = 0;            // followed
+  // By how much the bounces' sum was none before the last one: root mean square over the surface, relative.
+  double residual = 0;
   double greatest_return = 0;     // of any point and channel, over `returned`
-  DualTreeStatistics statistics;  // of the first sum
+  std::int64_t evaluations = 0;   // of the profile, in all sums
+  DualTreeStatistics statistics;  // of the sum at the end
 };
 
-// M = K (P + R A M): K the profile's sum over the points, A their areas, R the shell's reflection. Bounces are summed
-// one by one, the rest as if the last one's ratio went on. Throws: InputError where lists do not match or hold what is
-// none, NumericalError where bounces do not shrink.
+// M = K (P + R A M): K the profile's sum over the points, A their areas, R the shell's reflection. Bounces
+// are followed at four times the tolerance and combined as GMRES does, until what is missed is below it; the last sum
+// is that of all that comes, at the tolerance itself. Throws: InputError where lists do not match or hold what is none,
+// NumericalError where bounces do not shrink.
 CoreExchange exchange_core_light(const CoreSurface& surface, const RadialProfile& profile,
                                  const CoreExchangeOptions& options = {});
 

@@ -9,6 +9,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
+#include "solvers/dipole/node_reach.h"
 #include "solvers/dipole/point_tree.h"
 
 namespace shellgrid {
@@ -18,7 +19,8 @@ namespace {
 using Node = PointTree::Node;
 
 constexpr int bound_pieces = 48;      // of the sources, for the least a target is sure to get
-constexpr int bound_points = 64;      // of the targets that share one such bound
+constexpr float none_share = 0.016f;  // of the tolerance of the target: what gives less is left out
+constexpr float little_share = 0.1f;  // of the target: what gives less may be as wrong as what gives this
 constexpr int task_share = 64;        // targets are given to threads in pieces of 1 / this
 constexpr std::int8_t as_points = 0;  // in place of an order: a node's points themselves
 
@@ -34,106 +36,56 @@ struct Interaction {
   std::int8_t target_order, source_order;
 };
 
-// From where on one axis of a node may be interpolated: a bound of the relative error of interpolating e^{−kr} r^{−3}
-// at n Chebyshev points over the half extent h, by the function's derivatives, is below `allowed` where
-// h / distance is below x(n, k h).
-class AxisReach {
- public:
-  explicit AxisReach(double allowed) {
-    for (int n = 1; n <= PointTree::most_order; ++n)
-      for (int i = 0; i <= steps; ++i) {
-        double low = 0, high = 2;
-        if (error(n, i * step, low) > allowed) {
-          least_[n][i] = 0;
-          continue;
-        }
-        for (int k = 0; k < 30; ++k) {
-          const double middle = (low + high) / 2;
-          (error(n, i * step, middle) > allowed ? high : low) = middle;
-        }
-        least_[n][i] = static_cast<float>(low);
-      }
-  }
-
-  // The least distance; infinite where no distance is enough.
-  float distance(int n, double decay, float h) const {
-    if (!(h > 0)) return 0;
-    const double at = decay * static_cast<double>(h) / step;
-    if (!(at < steps)) return std::numeric_limits<float>::infinity();
-    const float x = least_[n][static_cast<int>(at) + 1];  // falls with k h
-    return x > 0 ? h / x : std::numeric_limits<float>::infinity();
-  }
-
- private:
-  static double error(int n, double kh, double x) {
-    static constexpr double factorial[] = {1, 1, 2, 6, 24, 120};
-    double sum = 0, power = 1;
-    for (int j = 0; j <= n; ++j) {
-      sum += power / factorial[j] * ((n - j + 2) * (n - j + 1) / 2) * std::pow(x, n - j);
-      power *= kh;
-    }
-    return std::ldexp(sum, 1 - n) * (1 + x) * std::exp(kh);
-  }
-
-  static constexpr int steps = 160;
-  static constexpr double step = 0.025;
-  float least_[PointTree::most_order + 1][steps + 1] = {};
-};
-
-// From where on a node may be interpolated at each order, per channel, and how many points that takes.
-struct NodeReach {
-  float squared_distance[PointTree::orders][3];
-  int size[PointTree::orders];
-};
-
-// `strings` is for nodes whose points lie along a line, where errors of neighbours do not cancel.
-std::vector<NodeReach> reaches_of(const PointTree& tree, const RadialProfile& profile, const AxisReach& sheets,
-                                  const AxisReach& strings) {
-  std::vector<NodeReach> reaches(tree.nodes().size());
-  parallel_for(reaches.size(), [&](std::size_t i) {
-    const Node& node = tree.nodes()[i];
-    const AxisReach& axis = node.half[1] < 0.2f * node.half[0] ? strings : sheets;
-    for (int o = 0; o < PointTree::orders; ++o) {
-      const std::array<int, 3> n = node.counts(PointTree::least_order + o);
-      reaches[i].size[o] = n[0] * n[1] * n[2];
-      for (int c = 0; c < 3; ++c) {
-        float distance = 0;
-        for (int a = 0; a < 3; ++a) distance = std::max(distance, axis.distance(n[a], profile.decay(c), node.half[a]));
-        reaches[i].squared_distance[o][c] = distance * distance;
-      }
-    }
-  });
-  return reaches;
+std::vector<Rgb> sums_of_all_pairs(const std::vector<Vec3f>& targets, const std::vector<Vec3f>& sources,
+                                   const std::vector<Rgb>& powers, const RadialProfile& profile) {
+  std::vector<Rgb> result(targets.size());
+  parallel_for(
+      targets.size(),
+      [&](std::size_t t) {
+        Double4 sum = {};
+        for (std::size_t s = 0; s < sources.size(); ++s)
+          sum += to_double(to_lanes(powers[s])) * to_double(profile((targets[t] - sources[s]).squaredNorm()));
+        result[t] = to_rgb(sum);
+      },
+      16);
+  return result;
 }
 
-class DualTree {
- public:
-  DualTree(const std::vector<Vec3f>& targets, const std::vector<Vec3f>& sources, const std::vector<Rgb>& powers,
-           const RadialProfile& profile, const DualTreeOptions& options)
+}  // namespace
+
+struct DualTree::Impl {
+  Impl(const std::vector<Vec3f>& targets, const std::vector<Vec3f>& sources, const RadialProfile& profile,
+       const DualTreeOptions& options)
       : profile_(profile), options_(options), target_tree_(targets) {
     if (&targets != &sources && targets != sources) own_source_tree_ = std::make_unique<PointTree>(sources);
     source_tree_ = own_source_tree_ ? own_source_tree_.get() : &target_tree_;
+    const std::size_t n = source_tree_->points().size();
+    for (auto* list : {&x_, &y_, &z_}) list->assign(n + RadialProfile::lanes, 0);
+    for (std::size_t i = 0; i < n; ++i) {
+      x_[i] = source_tree_->points()[i].x();
+      y_[i] = source_tree_->points()[i].y();
+      z_[i] = source_tree_->points()[i].z();
+    }
+    target_reach_ = reaches_of(target_tree_, profile, options.tolerance);
+    if (own_source_tree_) source_reach_ = reaches_of(*own_source_tree_, profile, options.tolerance);
+    for (int c = 0; c < 3; ++c) squared_width_[c] = static_cast<float>(profile.width(c) * profile.width(c));
+    tasks_ = target_nodes_of(std::max(PointTree::leaf_points, target_tree_.nodes()[0].count() / task_share));
+  }
+
+  std::vector<Rgb> sums(const std::vector<Rgb>& powers, int first_grade, DualTreeStatistics& statistics) {
+    first_grade_ = first_grade;
+    tolerance_ = std::ldexp(options_.tolerance, 2 * first_grade);
     const auto& nodes = source_tree_->nodes();
-    powers_.resize(sources.size());
-    for (std::size_t i = 0; i < sources.size(); ++i) powers_[i] = to_lanes(powers[source_tree_->order()[i]]);
+    powers_.resize(powers.size());
+    for (std::size_t i = 0; i < powers.size(); ++i) powers_[i] = to_lanes(powers[source_tree_->order()[i]]);
     node_powers_.resize(nodes.size());
     parallel_for(
         nodes.size(), [&](std::size_t n) { node_powers_[n] = sums_of(powers_, nodes[n].first, nodes[n].last); }, 16);
-    // The bound holds for the worst place of the nearest pair along the worst axis. Most pairs add far less than it to
-    // a sum, and with either sign: so much more of it leaves a fifth to two thirds of the tolerance.
-    const AxisReach sheets(3 * options.tolerance), strings(1.5 * options.tolerance);
-    target_reach_ = reaches_of(target_tree_, profile, sheets, strings);
-    if (own_source_tree_) source_reach_ = reaches_of(*own_source_tree_, profile, sheets, strings);
-    for (int c = 0; c < 3; ++c) squared_width_[c] = static_cast<float>(profile.width(c) * profile.width(c));
-  }
-
-  std::vector<Rgb> sums(DualTreeStatistics& statistics) {
     find_bounds();
-    tasks_ = target_nodes_of(std::max(PointTree::leaf_points, target_tree_.nodes()[0].count() / task_share));
-    interactions_.resize(tasks_.size());
-    counts_.resize(tasks_.size());
+    interactions_.assign(tasks_.size(), {});
+    counts_.assign(tasks_.size(), {});
     coefficient_at_.assign(target_tree_.nodes().size() * PointTree::orders, -1);
-    needed_ = std::vector<std::uint8_t>(source_tree_->nodes().size(), 0);
+    needed_.assign(source_tree_->nodes().size(), 0);
     parallel_for(
         tasks_.size(), [&](std::size_t t) { pair(tasks_[t], 0, t); }, 1);
     for (const auto& list : interactions_)
@@ -155,33 +107,28 @@ class DualTree {
   void find_bounds() {
     const auto& nodes = target_tree_.nodes();
     bounds_.assign(nodes.size(), Float4{});
-    std::vector<std::uint8_t> bound(nodes.size(), 0);
-    const std::vector<std::int32_t> roots = target_nodes_of(bound_points);
     parallel_for(
-        roots.size(), [&](std::size_t i) { bounds_[roots[i]] = bound_of(nodes[roots[i]]); }, 4);
+        nodes.size(),
+        [&](std::size_t n) {
+          if (nodes[n].is_leaf()) bounds_[n] = bound_of(nodes[n]);
+        },
+        16);
     Float4 greatest = {};
-    for (const std::int32_t n : roots) {
-      bound[n] = 1;
-      greatest = greatest > bounds_[n] ? greatest : bounds_[n];
-    }
+    for (const Float4& bound : bounds_) greatest = greatest > bound ? greatest : bound;
     const Float4 least = greatest / static_cast<float>(options_.dynamic_range);
-    for (const std::int32_t n : roots) bounds_[n] = bounds_[n] > least ? bounds_[n] : least;
-    // Children come after their parents: downwards what hangs below a root takes its bound, upwards the least counts.
-    for (std::size_t n = 0; n < nodes.size(); ++n)
-      if (bound[n] && !nodes[n].is_leaf())
-        for (const std::int32_t child : {nodes[n].left, nodes[n].right}) {
-          bounds_[child] = bounds_[n];
-          bound[child] = 1;
-        }
-    for (std::size_t n = nodes.size(); n-- > 0;)
-      if (!bound[n]) {
+    // Children come after their parents.
+    for (std::size_t n = nodes.size(); n-- > 0;) {
+      if (!nodes[n].is_leaf()) {
         const Float4 a = bounds_[nodes[n].left], b = bounds_[nodes[n].right];
         bounds_[n] = a < b ? a : b;
-        bound[n] = 1;
       }
+      bounds_[n] = bounds_[n] > least ? bounds_[n] : least;
+    }
   }
 
-  Float4 bound_of(const Node& target) const {
+  // Of the targets of a leaf: near leaves of sources count point by point, other nodes as if their light came from
+  // their farthest corner.
+  Float4 bound_of(const Node& leaf) const {
     const auto& nodes = source_tree_->nodes();
     struct Piece {
       std::int32_t node;
@@ -189,7 +136,7 @@ class DualTree {
     };
     std::array<Piece, bound_pieces + 1> pieces;
     const auto piece = [&](std::int32_t n) {
-      const Float4 most = node_powers_[n] * profile_(target.squared_least_distance(nodes[n]));
+      const Float4 most = node_powers_[n] * profile_(leaf.squared_least_distance(nodes[n]));
       return Piece{n, nodes[n].is_leaf() ? -1.0f : most[0] + most[1] + most[2]};
     };
     int count = 1;
@@ -203,10 +150,22 @@ class DualTree {
       pieces[best] = piece(node.left);
       pieces[count++] = piece(node.right);
     }
-    Float4 sum = {};
-    for (int i = 0; i < count; ++i)
-      sum += node_powers_[pieces[i].node] * profile_(target.squared_most_distance(nodes[pieces[i].node]));
-    return sum;
+    Float4 least = Float4{} + std::numeric_limits<float>::infinity();
+    for (std::int32_t t = leaf.first; t < leaf.last; ++t) {
+      Node point;
+      point.low = point.high = target_tree_.points()[t];
+      Float4 sum = {};
+      for (int i = 0; i < count; ++i) {
+        const Node& node = nodes[pieces[i].node];
+        if (node.is_leaf())
+          sum += profile_.sum(point.low, x_.data() + node.first, y_.data() + node.first, z_.data() + node.first,
+                              powers_.data() + node.first, node.count());
+        else
+          sum += node_powers_[pieces[i].node] * profile_(point.squared_most_distance(node));
+      }
+      least = least < sum ? least : sum;
+    }
+    return least;
   }
 
   // A partition of the targets: the largest nodes of at most so many points, or leaves.
@@ -227,11 +186,12 @@ class DualTree {
   }
 
   // The least order at which a node may be interpolated; as_points where its points are no more than that; −1: none.
-  int order_for(const Node& node, const NodeReach& reach, const std::array<bool, 3>& counts,
+  // grade: of each channel; −1: it does not count.
+  int order_for(const Node& node, const NodeReach& reach, const std::array<int, 3>& grade,
                 const std::array<float, 3>& squared_distance) const {
     for (int o = 0; o < PointTree::orders; ++o) {
       bool near = false;
-      for (int c = 0; c < 3; ++c) near |= counts[c] && squared_distance[c] < reach.squared_distance[o][c];
+      for (int c = 0; c < 3; ++c) near |= grade[c] >= 0 && squared_distance[c] < reach.squared_distance[grade[c]][o][c];
       if (!near) return node.count() <= reach.size[o] ? as_points : PointTree::least_order + o;
     }
     return node.is_leaf() ? as_points : -1;
@@ -242,12 +202,18 @@ class DualTree {
     const Node& source = source_tree_->nodes()[s];
     const float least = target.squared_least_distance(source);
     const Float4 power = node_powers_[s], most = power * profile_(least);
-    const Float4 due = bounds_[t] * power * static_cast<float>(options_.tolerance / 2);
-    std::array<bool, 3> counts;
+    // What the target is sure to get is the measure. Half of the tolerance of it is shared out among the sources by
+    // their power, too.
+    const Float4 due = bounds_[t] * power * static_cast<float>(tolerance_ / 2), little = bounds_[t] * little_share,
+                 none = bounds_[t] * static_cast<float>(tolerance_ * none_share);
+    std::array<int, 3> grade;
     bool any = false;
     for (int c = 0; c < 3; ++c) {
-      counts[c] = power[c] > 0 && !(most[c] * node_powers_[0][c] <= due[c]);
-      any |= counts[c];
+      grade[c] = -1;
+      if (!(power[c] > 0) || most[c] * node_powers_[0][c] <= due[c] || most[c] <= none[c]) continue;
+      any = true;
+      grade[c] = first_grade_;
+      for (float times = 4; grade[c] + 1 < reach_grades && most[c] * times <= little[c]; times *= 4) ++grade[c];
     }
     if (!any) {
       if (power[0] > 0 || power[1] > 0 || power[2] > 0) ++counts_[task].skipped_pairs;
@@ -255,9 +221,9 @@ class DualTree {
     }
     std::array<float, 3> squared_distance;
     for (int c = 0; c < 3; ++c) squared_distance[c] = least + squared_width_[c];
-    const int target_order = order_for(target, target_reach_[t], counts, squared_distance),
+    const int target_order = order_for(target, target_reach_[t], grade, squared_distance),
               source_order =
-                  order_for(source, (own_source_tree_ ? source_reach_ : target_reach_)[s], counts, squared_distance);
+                  order_for(source, (own_source_tree_ ? source_reach_ : target_reach_)[s], grade, squared_distance);
     if (target_order >= 0 && source_order >= 0) {
       interactions_[task].push_back(
           {t, s, static_cast<std::int8_t>(target_order), static_cast<std::int8_t>(source_order)});
@@ -279,7 +245,7 @@ class DualTree {
 
   // Places and powers that stand for the sources of each node and order that is asked for.
   struct Stand {
-    std::vector<float> x, y, z;
+    std::vector<float> x, y, z;  // longer by RadialProfile::lanes
     std::vector<Float4> power;
   };
 
@@ -289,33 +255,30 @@ class DualTree {
         needed_.size(),
         [&](std::size_t n) {
           for (int o = 0; o < PointTree::orders; ++o)
-            if (needed_[n] >> o & 1) {
-              const Node& node = source_tree_->nodes()[n];
-              const int order = PointTree::least_order + o;
-              std::vector<Vec3f> places;
-              source_tree_->interpolation_points(node, order, places);
-              Stand& stand = stands_[n * PointTree::orders + o];
-              for (const Vec3f& p : places) {
-                stand.x.push_back(p.x());
-                stand.y.push_back(p.y());
-                stand.z.push_back(p.z());
-              }
-              stand.power.assign(places.size(), Float4{});
-              float weights[PointTree::most_size];
-              for (int i = node.first; i < node.last; ++i) {
-                const int m = PointTree::interpolation_weights(node, order, source_tree_->points()[i], weights);
-                for (int k = 0; k < m; ++k) stand.power[k] += weights[k] * powers_[i];
-              }
-            }
+            if (needed_[n] >> o & 1) expand(static_cast<std::int32_t>(n), PointTree::least_order + o);
         },
         8);
-    x_.resize(powers_.size());
-    y_.resize(powers_.size());
-    z_.resize(powers_.size());
-    for (std::size_t i = 0; i < powers_.size(); ++i) {
-      x_[i] = source_tree_->points()[i].x();
-      y_[i] = source_tree_->points()[i].y();
-      z_[i] = source_tree_->points()[i].z();
+  }
+
+  void expand(std::int32_t n, int order) {
+    const Node& node = source_tree_->nodes()[n];
+    Stand& stand = stands_[static_cast<std::size_t>(n) * PointTree::orders + order - PointTree::least_order];
+    if (stand.x.empty()) {
+      std::vector<Vec3f> places;
+      source_tree_->interpolation_points(node, order, places);
+      stand.power.resize(places.size());
+      for (auto* list : {&stand.x, &stand.y, &stand.z}) list->assign(places.size() + RadialProfile::lanes, 0);
+      for (std::size_t k = 0; k < places.size(); ++k) {
+        stand.x[k] = places[k].x();
+        stand.y[k] = places[k].y();
+        stand.z[k] = places[k].z();
+      }
+    }
+    std::fill(stand.power.begin(), stand.power.end(), Float4{});
+    float weights[PointTree::most_size];
+    for (int i = node.first; i < node.last; ++i) {
+      const int m = PointTree::interpolation_weights(node, order, source_tree_->points()[i], weights);
+      for (int k = 0; k < m; ++k) stand.power[k] += weights[k] * powers_[i];
     }
   }
 
@@ -324,7 +287,7 @@ class DualTree {
     const auto& nodes = target_tree_.nodes();
     std::vector<Double4> coefficients;
     std::vector<std::pair<std::int32_t, int>> used;  // nodes and orders
-    std::vector<Vec3f> places;
+    std::vector<Vec3f> places, few;                  // of the coefficients
     for (const Interaction& i : interactions_[task]) {
       const Node& target = nodes[i.target];
       const Node& source = source_tree_->nodes()[i.source];
@@ -356,25 +319,18 @@ class DualTree {
       } else {
         std::int32_t& place = coefficient_at_[static_cast<std::size_t>(i.target) * PointTree::orders + i.target_order -
                                               PointTree::least_order];
-        target_tree_.interpolation_points(target, i.target_order, places);
         if (place == 0) {
           place = static_cast<std::int32_t>(coefficients.size()) + 1;
-          coefficients.resize(coefficients.size() + places.size(), Double4{});
+          target_tree_.interpolation_points(target, i.target_order, few);
+          places.insert(places.end(), few.begin(), few.end());
+          coefficients.resize(places.size(), Double4{});
           used.emplace_back(i.target, i.target_order);
         }
         out = coefficients.data() + (place - 1);
-        at = places.data();
-        outs = static_cast<int>(places.size());
+        at = places.data() + (place - 1);
+        outs = target_reach_[i.target].size[i.target_order - PointTree::least_order];
       }
-      for (int t = 0; t < outs; ++t) {
-        const Vec3f p = at[t];
-        Float4 sum = {};
-        for (int k = 0; k < size; ++k) {
-          const float dx = p.x() - x[k], dy = p.y() - y[k], dz = p.z() - z[k];
-          sum += power[k] * profile_(dx * dx + dy * dy + dz * dz);
-        }
-        out[t] += to_double(sum);
-      }
+      for (int t = 0; t < outs; ++t) out[t] += to_double(profile_.sum(at[t], x, y, z, power, size));
       const std::int64_t evaluations = static_cast<std::int64_t>(outs) * size;
       count.evaluations += evaluations;
       if (i.target_order == as_points && i.source_order == as_points)
@@ -416,7 +372,9 @@ class DualTree {
   }
 
   const RadialProfile& profile_;
-  const DualTreeOptions& options_;
+  const DualTreeOptions options_;
+  int first_grade_ = 0;
+  double tolerance_ = 0;  // of this grade
   PointTree target_tree_;
   std::unique_ptr<PointTree> own_source_tree_;
   const PointTree* source_tree_ = nullptr;
@@ -434,46 +392,43 @@ class DualTree {
   std::vector<Double4> values_;               // at the targets, in their tree's order
 };
 
-std::vector<Rgb> sums_of_all_pairs(const std::vector<Vec3f>& targets, const std::vector<Vec3f>& sources,
-                                   const std::vector<Rgb>& powers, const RadialProfile& profile) {
-  std::vector<Rgb> result(targets.size());
-  parallel_for(
-      targets.size(),
-      [&](std::size_t t) {
-        Double4 sum = {};
-        for (std::size_t s = 0; s < sources.size(); ++s)
-          sum += to_double(to_lanes(powers[s])) * to_double(profile((targets[t] - sources[s]).squaredNorm()));
-        result[t] = to_rgb(sum);
-      },
-      16);
-  return result;
+DualTree::DualTree(const std::vector<Vec3f>& targets, const std::vector<Vec3f>& sources, const RadialProfile& profile,
+                   const DualTreeOptions& options)
+    : targets_(targets), sources_(sources), profile_(profile), options_(options) {
+  if (!(options.tolerance > 0 && options.tolerance < 1) || !(options.dynamic_range >= 1))
+    throw InputError("sums need a tolerance between 0 and 1 and a dynamic range of at least 1");
+  for (const auto* points : {&targets, &sources})
+    for (const Vec3f& p : *points)
+      if (!p.allFinite()) throw InputError("a point of a sum is not finite");
+  if (!options.brute_force && !targets.empty() && !sources.empty())
+    impl_ = std::make_unique<Impl>(targets, sources, profile, options);
 }
 
-}  // namespace
+DualTree::~DualTree() = default;
+
+std::vector<Rgb> DualTree::sums(const std::vector<Rgb>& powers, double tolerance, DualTreeStatistics* statistics) {
+  if (sources_.size() != powers.size()) throw InputError("each source needs one power");
+  for (const Rgb& power : powers)
+    if (!(power >= 0).all() || !power.allFinite()) throw InputError("a source's power is negative or not finite");
+  if (targets_.empty() || sources_.empty()) return std::vector<Rgb>(targets_.size(), Rgb::Zero());
+  if (!impl_) {
+    if (statistics) {
+      *statistics = {};
+      statistics->point_pairs = statistics->evaluations =
+          static_cast<std::int64_t>(targets_.size()) * static_cast<std::int64_t>(sources_.size());
+    }
+    return sums_of_all_pairs(targets_, sources_, powers, profile_);
+  }
+  int grade = 0;
+  while (grade + 1 < reach_grades && std::ldexp(options_.tolerance, 2 * grade + 2) <= 1.001 * tolerance) ++grade;
+  DualTreeStatistics own;
+  return impl_->sums(powers, grade, statistics ? *statistics : own);
+}
 
 std::vector<Rgb> dual_tree_sums(const std::vector<Vec3f>& targets, const std::vector<Vec3f>& sources,
                                 const std::vector<Rgb>& powers, const RadialProfile& profile,
                                 const DualTreeOptions& options, DualTreeStatistics* statistics) {
-  if (sources.size() != powers.size()) throw InputError("each source needs one power");
-  if (!(options.tolerance > 0 && options.tolerance < 1) || !(options.dynamic_range >= 1))
-    throw InputError("sums need a tolerance between 0 and 1 and a dynamic range of at least 1");
-  for (const Rgb& power : powers)
-    if (!(power >= 0).all() || !power.allFinite()) throw InputError("a source's power is negative or not finite");
-  for (const auto* points : {&targets, &sources})
-    for (const Vec3f& p : *points)
-      if (!p.allFinite()) throw InputError("a point of a sum is not finite");
-  DualTreeStatistics own;
-  if (targets.empty() || sources.empty()) return std::vector<Rgb>(targets.size(), Rgb::Zero());
-  if (options.brute_force) {
-    if (statistics) {
-      *statistics = {};
-      statistics->point_pairs = statistics->evaluations =
-          static_cast<std::int64_t>(targets.size()) * static_cast<std::int64_t>(sources.size());
-    }
-    return sums_of_all_pairs(targets, sources, powers, profile);
-  }
-  DualTree tree(targets, sources, powers, profile, options);
-  return tree.sums(statistics ? *statistics : own);
+  return DualTree(targets, sources, profile, options).sums(powers, options.tolerance, statistics);
 }
 
 }  // namespace shellgrid

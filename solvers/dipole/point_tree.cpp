@@ -57,9 +57,11 @@ float PointTree::Node::squared_most_distance(const Node& other) const {
 }
 
 std::array<int, 3> PointTree::Node::counts(int order) const {
-  // Relative errors of interpolating r⁻³ at half its distance: C(n + 2, 2) x^n 2^{1 − n}, as dual_tree.cpp takes them.
+  // Relative errors of interpolating r⁻³ at half its distance: C(n + 2, 2) x^n 2^{1 − n}, as node_reach.cpp takes them.
   const auto error = [](int n, float x) {
-    return static_cast<float>((n + 2) * (n + 1) / 2) * std::pow(x / 2, static_cast<float>(n)) * 2;
+    float power = 1;
+    for (int i = 0; i < n; ++i) power *= x / 2;
+    return static_cast<float>((n + 2) * (n + 1) / 2) * power * 2;
   };
   std::array<int, 3> counts = {order, order, order};
   const float allowed = error(order, 0.5f);

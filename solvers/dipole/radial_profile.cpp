@@ -78,6 +78,7 @@ double disc_mean(const std::function<double(double)>& f, double r, double a, dou
 
 RadialProfile::RadialProfile(const Channels& channels, double averaged) {
   if (!(averaged >= 0)) throw InputError("a radial profile is averaged over a disc of no size");
+  table_.assign(1, Node{});
   double narrowest = std::numeric_limits<double>::infinity();
   double greatest[3], farthest = 0;
   const auto value = [&](int c, double r) {
@@ -115,7 +116,7 @@ RadialProfile::RadialProfile(const Channels& channels, double averaged) {
     per_node_ = 1 / static_cast<float>(1u << shift_);
     first_ = std::bit_cast<std::uint32_t>(offset_) >> shift_;
     last_ = (std::bit_cast<std::uint32_t>(offset_ + top) >> shift_) - first_ + 1;
-    table_.assign(last_ + 1, Float4{});
+    std::vector<Float4> values(last_ + 1, Float4{});
     std::vector<float> errors(last_, 0);
     parallel_for(
         last_ + 1,
@@ -124,7 +125,7 @@ RadialProfile::RadialProfile(const Channels& channels, double averaged) {
           for (int c = 0; c < 3; ++c) {
             if (!(greatest[c] > 0)) continue;
             const double v = value(c, distance_of(node, 0));
-            table_[i][c] = v > least_share * greatest[c] ? static_cast<float>(v) : 0.0f;
+            values[i][c] = v > least_share * greatest[c] ? static_cast<float>(v) : 0.0f;
           }
         },
         64);
@@ -133,13 +134,15 @@ RadialProfile::RadialProfile(const Channels& channels, double averaged) {
         [&](std::size_t i) {
           const auto node = static_cast<std::uint32_t>(i);
           for (int c = 0; c < 3; ++c) {
-            if (!(table_[i + 1][c] > 0)) continue;
+            if (!(values[i + 1][c] > 0)) continue;
             const double exact = value(c, distance_of(node, 0.5));
-            const double between = 0.5 * (static_cast<double>(table_[i][c]) + static_cast<double>(table_[i + 1][c]));
+            const double between = 0.5 * (static_cast<double>(values[i][c]) + static_cast<double>(values[i + 1][c]));
             errors[i] = std::max(errors[i], static_cast<float>(std::abs(between / exact - 1)));
           }
         },
         64);
+    table_.assign(last_ + 1, Node{});
+    for (std::uint32_t i = 0; i < last_; ++i) table_[i] = {values[i], values[i + 1] - values[i]};
     if (*std::max_element(errors.begin(), errors.end()) <= accuracy) break;
   }
 }

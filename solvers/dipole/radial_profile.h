@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // A function of distance for each channel, as a table that answers within a few nanoseconds.
 #pragma once
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cstdint>
+#include <cstring>
 #include <functional>
 #include <vector>
 
@@ -36,18 +38,50 @@ class RadialProfile {
     const std::uint32_t node = (bits >> shift_) - first_;
     if (node >= last_) return Float4{};
     const float part = static_cast<float>(bits & mask_) * per_node_;
-    const Float4 below = table_[node], above = table_[node + 1];
-    return below + part * (above - below);
+    return table_[node].value + part * table_[node].step;
+  }
+  // Σ_k powers[k] (*this)(|place − (x, y, z)[k]|²) over k below `count`. The lists may be read, but do not count, up to
+  // `lanes` − 1 numbers further.
+  static constexpr int lanes = 16;
+  Float4 sum(const Vec3f& place, const float* x, const float* y, const float* z, const Float4* powers,
+             int count) const {
+    using Floats = float __attribute__((vector_size(4 * lanes), aligned(4)));
+    using Numbers = std::uint32_t __attribute__((vector_size(4 * lanes)));
+    Float4 sums[2] = {};
+    for (int k = 0; k < count; k += lanes) {
+      const Floats dx = place.x() - *reinterpret_cast<const Floats*>(x + k),
+                   dy = place.y() - *reinterpret_cast<const Floats*>(y + k),
+                   dz = place.z() - *reinterpret_cast<const Floats*>(z + k);
+      const Floats u = dx * dx + dy * dy + dz * dz + offset_;
+      Numbers bits;
+      std::memcpy(&bits, &u, sizeof bits);
+      Numbers node = (bits >> shift_) - first_;
+      node = node < last_ ? node : Numbers{} + last_;  // its value and step are 0
+      const auto part = __builtin_convertvector(bits & mask_, Floats) * per_node_;
+      alignas(64) std::uint32_t nodes[lanes];
+      alignas(64) float parts[lanes];
+      std::memcpy(nodes, &node, sizeof nodes);
+      std::memcpy(parts, &part, sizeof parts);
+      const int rest = std::min(lanes, count - k);
+      for (int i = 0; i < rest; ++i) {
+        const Node& at = table_[nodes[i]];
+        sums[i & 1] += powers[k + i] * (at.value + parts[i] * at.step);
+      }
+    }
+    return sums[0] + sums[1];
   }
   Rgb at(double r) const;
 
   double decay(int channel) const { return decay_[channel]; }
   double width(int channel) const { return width_[channel]; }
   double reach() const { return reach_; }  // beyond this distance all is 0, mm
-  std::size_t bytes() const { return table_.size() * sizeof(Float4); }
+  std::size_t bytes() const { return table_.size() * sizeof(Node); }
 
  private:
-  std::vector<Float4> table_;
+  struct Node {
+    Float4 value, step;  // up to the next node's value
+  };
+  std::vector<Node> table_;  // the last one's are 0
   float offset_ = 1, per_node_ = 1;
   std::uint32_t first_ = 0, last_ = 0, mask_ = 0;
   int shift_ = 0;

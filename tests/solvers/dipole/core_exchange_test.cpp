@@ -98,6 +98,43 @@ TEST(CoreExchange, ReturnsAsMuchAsComes) {
   EXPECT_GT(exchange_core_light(sheets, dipole_profile(of(0)), options).greatest_return, 1.5);
 }
 
+// Lit from one side, through a shell that reflects unevenly: against bounces over all pairs, one by one to the end,
+// each point within the tolerance, down to a millionth of the brightest.
+TEST(CoreExchange, KeepsToItsToleranceBrightAndDim) {
+  CoreSurface surface = sphere(2000, 12);
+  surface.shell_reflection.resize(surface.points.size());
+  for (std::size_t i = 0; i < surface.points.size(); ++i) {
+    const float z = surface.points[i].z() / 12;
+    surface.power[i] *= std::max(0.0f, z - 0.3f);
+    surface.shell_reflection[i] = Rgb(0.5f, 0.3f, 0.6f) * (0.75f + 0.25f * std::sin(9 * z));
+  }
+  for (const double absorption : {0.003, 0.05, 0.4}) {
+    const RadialProfile profile = dipole_profile(of(absorption), 0.54);
+    CoreExchangeOptions options;
+    options.sums.tolerance = 0.02;
+    DualTreeOptions all_pairs;
+    all_pairs.brute_force = true;
+    DualTree exact(surface.points, surface.points, profile, all_pairs);
+    std::vector<Rgb> expected(surface.points.size(), Rgb::Zero()), coming = surface.power;
+    for (int bounce = 0; bounce < 60; ++bounce) {
+      const std::vector<Rgb> leaving = exact.sums(coming, 0.02);
+      for (std::size_t i = 0; i < coming.size(); ++i) {
+        expected[i] += leaving[i];
+        coming[i] = surface.shell_reflection[i] * surface.areas[i] * leaving[i];
+      }
+    }
+    const CoreExchange exchange = exchange_core_light(surface, profile, options);
+    double greatest = 0, error = 0;
+    for (const Rgb& e : expected) greatest = std::max(greatest, static_cast<double>(e.maxCoeff()));
+    for (std::size_t i = 0; i < expected.size(); ++i)
+      for (int c = 0; c < 3; ++c)
+        if (static_cast<double>(expected[i][c]) > 1e-6 * greatest)
+          error = std::max(error, std::abs(static_cast<double>(exchange.exitance[i][c] / expected[i][c]) - 1));
+    EXPECT_LE(error, options.sums.tolerance) << absorption;
+    EXPECT_LE(exchange.residual, 0.011);
+  }
+}
+
 TEST(CoreExchange, RefusesWhatIsNone) {
   const RadialProfile profile = dipole_profile(of(0.1));
   CoreSurface surface = sphere(10, 5);
