@@ -441,7 +441,8 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
   polygrid.outputs = {"polygrid.hdf"};
   polygrid.views = {"polygrid.view.ply"};
   diffuse.outputs = {"fluence.hdf", "exitance.ply"};
-  if (c.opaque || c.scene.method.type != diffusion_method) {
+  const bool core = c.textured() && c.scene.method.core == "polygrid";
+  if (c.opaque || (c.scene.method.type != diffusion_method && !core)) {
     for (PlannedStage* stage : {&tetrahedralize, &polycube, &polygrid, &diffuse}) {
       stage->needed = false;
       stage->reason = c.opaque ? "the material is opaque: no light enters the object"
@@ -458,7 +459,7 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
   polycube.reason = "the polygrid takes its connectivity from the polycube";
   polycube.arguments = {"tets.hdf", "-o", "polycube.hdf", "--nodes", number_text(c.scene.method.nodes)};
   polycube.artefacts = {"tets.hdf"};
-  polygrid.reason = "the method polygrid-diffusion solves on it";
+  polygrid.reason = core ? "the core's light is solved on it" : "the method polygrid-diffusion solves on it";
   polygrid.arguments = {"polycube.hdf", "surface.ply", "-o", "polygrid.hdf"};
   polygrid.artefacts = {"polycube.hdf", "surface.ply"};
 
@@ -474,7 +475,8 @@ void add_diffusion_stages(const SceneCase& c, std::vector<PlannedStage>& stages)
   diffuse.files = c.light_files;
   diffuse.slice = c.light_and_matter();
   diffuse.slice["method"] = c.part("method");
-  for (const char* key : {"nodes", "paths", "samples_per_pixel"}) diffuse.slice["method"].erase(key);
+  for (const char* key : {"nodes", "paths", "samples_per_pixel", "irradiance_error", "core"})
+    diffuse.slice["method"].erase(key);
   for (const PlannedStage* stage : {&tetrahedralize, &polycube, &polygrid, &diffuse}) stages.push_back(*stage);
 }
 
@@ -526,6 +528,10 @@ void add_texture_stages(const SceneCase& c, std::vector<PlannedStage>& stages) {
   append(core.arguments, core.artefacts);
   append(core.arguments, {"-o", "core.ply"});
   if (c.scene.method.core == "paper") append(core.arguments, {"--dipole", "paper", "--bounces", "0"});
+  if (c.scene.method.core == "polygrid") {
+    append(core.arguments, {"--fluence", "fluence.hdf"});
+    core.artefacts.push_back("fluence.hdf");
+  }
   core.files = c.light_files;
   core.slice = c.light_and_matter();
   if (c.scene.method.core == "none") {

@@ -59,7 +59,7 @@ struct SceneMethod {
   std::string source = "boundary";          // or "first-collision"
   double paths = 1e7;                       // of light, where the reference follows them
   double irradiance_error = 0.05;           // of the shell texture function
-  std::string core = "dipole";              // below it; or "paper" or "none"
+  std::string core = "dipole";              // below it; or "paper", "polygrid" or "none"
   int samples_per_pixel = 16;
 };
 

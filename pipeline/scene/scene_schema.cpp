@@ -200,9 +200,10 @@ std::vector<SceneKey> make_schema() {
        {},
        "shell-texture-function: relative standard error of half of the sample's light"},
       word(
-          "method.core", "dipole", {"dipole", "paper", "none"},
+          "method.core", "dipole", {"dipole", "paper", "polygrid", "none"},
           "shell-texture-function: the core's light, by a dipole that gets back what it gives and follows light to and "
-          "fro between shell and core, or as the paper has it; or a black core"),
+          "fro between shell and core, or as the paper has it; by diffusion on a polygrid of the whole object, which "
+          "needs no flat core; or a black core"),
       integer("method.samples_per_pixel", 16, 1, 65536, "camera rays a pixel"),
   };
 }

@@ -15,4 +15,9 @@ std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path) 
   return look_up_as_it_is(restore_shell_texture(read_vdb(path)));
 }
 
+IrradianceCorrection irradiance_correction(const std::string& name) {
+  if (name == "none") return IrradianceCorrection::none;
+  return name == "one" ? IrradianceCorrection::one_kernel : IrradianceCorrection::kernels;
+}
+
 }  // namespace shellgrid

@@ -2,13 +2,21 @@
 #pragma once
 #include <memory>
 #include <string>
+#include <vector>
 
-#include "solvers/shell_texture/shell_texture_lookup.h"
+#include "solvers/shell_texture/spread_light.h"
 
 namespace shellgrid {
 
 // A shell texture function as sg-irradiance writes it, plain (.vdb) or compressed (.stf), to be looked up.
 // Throws: InputError.
 std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path);
+
+// The choices of `--correction` of sg-core and sg-render.
+inline const std::vector<std::string> irradiance_correction_names = {"kernels", "one", "none"};
+inline constexpr const char* irradiance_correction_help =
+    "how matter sees light that is uneven about it: by the kernel of each place where it enters, by one kernel for all "
+    "of them, or, none, as if it were even";
+IrradianceCorrection irradiance_correction(const std::string& name);
 
 }  // namespace shellgrid

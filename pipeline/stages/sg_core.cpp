@@ -9,6 +9,7 @@
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
+#include "meshing/formats/vtkhdf_file.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/scene.h"
@@ -42,10 +43,85 @@ Eigen::Array3d power(const CoreSurface& surface, const std::vector<Rgb>& values)
 
 nlohmann::json list(const Eigen::Array3d& a) { return {a[0], a[1], a[2]}; }
 
+// Fluence at the points of hexahedra, as sg-diffuse writes it.
+FluenceField read_fluence_field(const std::string& path, const TriangleMesh& surface, const std::string& surface_path) {
+  UnstructuredGrid grid = read_vtkhdf(path);
+  const DataArray* data = grid.find_point("fluence");
+  const auto* values = data ? std::get_if<std::vector<float>>(&data->values) : nullptr;
+  if (!values || data->columns != 3 ||
+      std::any_of(grid.types.begin(), grid.types.end(), [](std::uint8_t type) { return type != 12; }))
+    throw InputError(path + ": no hexahedra with point data named fluence; give sg-diffuse's");
+  const auto box = [](const VertexMatrix& points) {
+    Box all;
+    for (Eigen::Index p = 0; p < points.rows(); ++p) all.add(points.row(p).transpose());
+    return all;
+  };
+  const Box grid_box = box(grid.points), mesh_box = box(surface.vertices);
+  const double apart = std::max((grid_box.lower - mesh_box.lower).norm(), (grid_box.upper - mesh_box.upper).norm());
+  if (!(apart < 0.05 * (mesh_box.upper - mesh_box.lower).norm()))
+    throw InputError(fmt::format("{} and {} are not of the same object: their bounds are {:.3g} mm apart", path,
+                                 surface_path, apart));
+  std::vector<Rgb> fluence;
+  for (std::size_t p = 0; p + 2 < values->size(); p += 3)
+    fluence.emplace_back((*values)[p], (*values)[p + 1], (*values)[p + 2]);
+  return naming(path,
+                [&] { return FluenceField(std::move(grid.points), std::move(grid.connectivity), std::move(fluence)); });
+}
+
+// What the core gives back, one a point, W mm⁻²; and what there is to tell.
+struct CoreShine {
+  std::vector<Rgb> exitance, irradiance;
+  nlohmann::json results;
+  std::string account;
+};
+
+CoreShine dipole_shine(CoreSurface& core, const ShellVolume& shell, double ior, bool paper, CoreExchangeOptions options,
+                       StageRun& run) {
+  if (options.bounces == 0) core.shell_reflection.clear();
+  const auto channels = core_dipoles(shell.core, ior, paper);
+  double area = 0;
+  for (const float a : core.areas) area += static_cast<double>(a);
+  const double radius =
+      std::sqrt(area / std::max<double>(1, static_cast<double>(core.points.size())) / std::numbers::pi);
+  if (!paper)
+    for (int c = 0; c < 3; ++c) options.returned[c] = channels[c].total();
+  CoreExchange exchange = exchange_core_light(core, dipole_profile(channels, radius), options);
+  if (exchange.greatest_return > 1.5)
+    run.progress().warn(
+        fmt::format("the core is thin or folded: by the dipole it would return up to {:.1f} times its light there, "
+                    "and was held to it; a thinner shell leaves more of a core",
+                    exchange.greatest_return));
+  spread_over_edges(core, 2 * shell.thickness, exchange.exitance);
+  CoreShine shine;
+  shine.irradiance.assign(core.points.size(), Rgb::Zero());
+  for (std::size_t i = 0; i < shine.irradiance.size(); ++i)
+    if (core.areas[i] > 0) shine.irradiance[i] = exchange.power[i] / core.areas[i];
+  shine.exitance = std::move(exchange.exitance);
+  const double pairs = static_cast<double>(core.points.size()) * static_cast<double>(core.points.size());
+  const auto evaluations = static_cast<double>(exchange.evaluations);
+  shine.results = {{"model", paper ? "paper" : "dipole"},    {"bounces", exchange.bounces},
+                   {"residual", exchange.residual},          {"greatest_return", exchange.greatest_return},
+                   {"evaluations", exchange.evaluations},    {"pairs", pairs},
+                   {"tree_bytes", exchange.statistics.bytes}};
+  shine.account = fmt::format("{} bounces, {:.3g} of all pairs evaluated", exchange.bounces, evaluations / pairs);
+  return shine;
+}
+
+CoreShine diffusion_shine(const CoreSurface& core, const ShellVolume& shell, const TexturedFrames& frames,
+                          const FluenceField& fluence) {
+  CoreDiffusion diffusion =
+      core_from_fluence(frames, core, shell.thickness, fluence, 1 / (3 * shell.core.reduced_extinction()));
+  CoreShine shine{std::move(diffusion.exitance), std::move(diffusion.irradiance), {}, {}};
+  shine.results = {{"model", "polygrid"}, {"scale", diffusion.scale}};
+  shine.account = fmt::format("diffusion's light times {:.3g}, {:.3g}, {:.3g}", diffusion.scale[0], diffusion.scale[1],
+                              diffusion.scale[2]);
+  return shine;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::string scene_path, mesh_path, shell_path, texture_path, model = "matched";
+  std::string scene_path, mesh_path, shell_path, texture_path, fluence_path, model = "matched", correction = "kernels";
   int environment_samples = 384;
   CoreExchangeOptions options;
   options.sums.tolerance = 0.02;
@@ -55,6 +131,9 @@ int main(int argc, char** argv) {
   program.input("shell.vdb", shell_path, "thickness and core, from sg-shell");
   program.input("stf.vdb", texture_path, "the sample's shell texture function, from sg-irradiance");
   program.output("core.ply", "the core's surface: irradiance from the shell, exitance into it");
+  program.option("--fluence", fluence_path,
+                 "fluence.hdf of sg-diffuse: the core's light is that of diffusion in the whole object, which needs no "
+                 "flat core, rather than a dipole's");
   program.option("--dipole", model,
                  "matched: lit by diffuse light out of a shell of the same index, its total that of transport; paper: "
                  "lit by a beam from outside, with Jensen's polynomial",
@@ -67,12 +146,15 @@ int main(int argc, char** argv) {
   program.flag("--brute-force", options.sums.brute_force, "sum over all pairs, to check the hierarchy");
   program.option("--environment-samples", environment_samples, "", "parallel lights that stand for an environment", 1,
                  65536);
+  program.option("--correction", correction, irradiance_correction_help, irradiance_correction_names);
   program.example("sg-core scene.json synthesized.ply shell.vdb stf.vdb -o core.ply", "ready for sg-render");
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
     const Scene scene = read_scene(scene_path);
     program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
                           {"--environment-samples"});
+    program.refuse_unless(fluence_path.empty(), "a core by the dipole, without --fluence",
+                          {"--dipole", "--tolerance", "--bounces", "--brute-force"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
     const ShellVolume shell = read_shell_volume(shell_path);
     require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress());
@@ -93,51 +175,28 @@ int main(int argc, char** argv) {
         throw InputError(scene_path + ": lights: a light stands inside the object");
     const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
     const IncidentLight light(frames, geometry, scene.lights, texture->directions(), environment_samples);
-    CoreSurface core = core_surface(light, *texture, surface.coordinate, shell.thickness);
-    if (options.bounces == 0) core.shell_reflection.clear();
-
+    const IrradianceKernels kernels = corrected_by(texture->kernels(), irradiance_correction(correction));
+    const SpreadLight spread(light, kernels, texture->size(), surface.coordinate);
+    CoreSurface core = core_surface(frames, spread, *texture, surface.coordinate, shell.thickness);
     run.start_timer("exchange");
-    const auto channels = core_dipoles(shell.core, ior, model == "paper");
-    double area = 0;
-    for (const float a : core.areas) area += static_cast<double>(a);
-    const double radius =
-        std::sqrt(area / std::max<double>(1, static_cast<double>(core.points.size())) / std::numbers::pi);
-    if (model == "matched")
-      for (int c = 0; c < 3; ++c) options.returned[c] = channels[c].total();
-    CoreExchange exchange = exchange_core_light(core, dipole_profile(channels, radius), options);
-    if (exchange.greatest_return > 1.5)
-      run.progress().warn(
-          fmt::format("the core is thin or folded: by the dipole it would return up to {:.1f} times its light there, "
-                      "and was held to it; a thinner shell leaves more of a core",
-                      exchange.greatest_return));
-
-    spread_over_edges(core, 2 * shell.thickness, exchange.exitance);
+    const CoreShine shine =
+        fluence_path.empty()
+            ? dipole_shine(core, shell, ior, model == "paper", options, run)
+            : diffusion_shine(core, shell, frames, read_fluence_field(fluence_path, surface.mesh, mesh_path));
 
     run.start_timer("write");
     TriangleMesh shape = surface.mesh;
     for (int v = 0; v < shape.vertex_count(); ++v) shape.vertices.row(v) = core.points[v].cast<double>().transpose();
-    std::vector<Rgb> irradiance(core.points.size(), Rgb::Zero());
+    write_ply(run.output(), exitance_mesh(shape, shine.exitance, shine.irradiance));
     Eigen::Array3d entering = Eigen::Array3d::Zero();
-    for (std::size_t i = 0; i < irradiance.size(); ++i) {
-      entering += core.power[i].cast<double>();
-      if (core.areas[i] > 0) irradiance[i] = exchange.power[i] / core.areas[i];
-    }
-    write_ply(run.output(), exitance_mesh(shape, exchange.exitance, irradiance));
-    const Eigen::Array3d leaving = power(core, exchange.exitance);
-    run.results() = {{"points", core.points.size()},
-                     {"entering_power", list(entering)},
-                     {"leaving_power", list(leaving)},
-                     {"bounces", exchange.bounces},
-                     {"residual", exchange.residual},
-                     {"greatest_return", exchange.greatest_return},
-                     {"evaluations", exchange.evaluations},
-                     {"pairs", static_cast<double>(core.points.size()) * static_cast<double>(core.points.size())},
-                     {"tree_bytes", exchange.statistics.bytes},
-                     {"shadow_rays", light.statistics().shadow_rays.load()},
-                     {"shadow_rays_skipped", light.statistics().shadow_rays_skipped.load()}};
-    run.print(fmt::format("{}: {} points, {} bounces, {:.3g} of all pairs evaluated", run.output(), core.points.size(),
-                          exchange.bounces,
-                          static_cast<double>(exchange.evaluations) /
-                              (static_cast<double>(core.points.size()) * static_cast<double>(core.points.size()))));
+    for (const Rgb& one : core.power) entering += one.cast<double>();
+    run.results() = shine.results;
+    run.results()["points"] = core.points.size();
+    run.results()["entering_power"] = list(entering);
+    run.results()["leaving_power"] = list(power(core, shine.exitance));
+    run.results()["vertices_corrected"] = spread.spread_vertices();
+    run.results()["shadow_rays"] = light.statistics().shadow_rays.load();
+    run.results()["shadow_rays_skipped"] = light.statistics().shadow_rays_skipped.load();
+    run.print(fmt::format("{}: {} points, {}", run.output(), core.points.size(), shine.account));
   });
 }

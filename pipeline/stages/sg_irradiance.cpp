@@ -17,6 +17,7 @@
 #include "solvers/shell_texture/irradiance_tracing.h"
 #include "solvers/shell_texture/shell_texture_archive.h"
 #include "solvers/shell_texture/shell_texture_codec.h"
+#include "synthesis/clustering.h"
 #include "synthesis/sample_archive.h"
 
 using namespace shellgrid;
@@ -34,6 +35,23 @@ BaseVolume base_volume(const MaterialSample& sample) {
   volume.anisotropy = sample.anisotropy;
   for (const VoxelKind kind : sample.kind) volume.free.push_back(kind == VoxelKind::free_space);
   return volume;
+}
+
+// Texels alike in what lies below and about them share a kernel [STF §7].
+IrradianceKernels irradiance_kernels(const BaseVolume& volume, int count, std::uint64_t seed) {
+  std::vector<std::uint8_t> of_texel(volume.texel_count(), 0);
+  const std::vector<std::vector<float>> domains = kernel_domains(volume);
+  if (count > 1 && !domains.front().empty()) {
+    RowMatrixf rows(static_cast<Eigen::Index>(domains.size()), static_cast<Eigen::Index>(domains.front().size()));
+    for (std::size_t t = 0; t < domains.size(); ++t)
+      rows.row(static_cast<Eigen::Index>(t)) =
+          Eigen::Map<const Eigen::RowVectorXf>(domains[t].data(), static_cast<Eigen::Index>(domains[t].size()));
+    const Clusters clusters = cluster(rows, count, 25, seed);
+    for (std::size_t t = 0; t < of_texel.size(); ++t) of_texel[t] = static_cast<std::uint8_t>(clusters.labels[t]);
+  }
+  KernelOptions options;
+  options.seed = seed;
+  return trace_kernels(volume, of_texel, options);
 }
 
 // Follows light from where the state's file, if any, left off, and keeps it there.
@@ -95,6 +113,7 @@ nlohmann::json in_figures(const IrradianceReport& report, const ShellTexture& te
 int main(int argc, char** argv) {
   std::string sample_path, state_path, estimator = "shared-walks", codec = "none";
   CodecGoal goal;
+  int kernels = 8;
   IrradianceOptions options;
   options.target_error = 0.02;
   StageProgram program("sg-irradiance", "Traces how light from any direction reaches each voxel of a sample.");
@@ -123,6 +142,10 @@ int main(int argc, char** argv) {
   program.output_option("--state", state_path, "",
                         "file in which the paths are kept: where it is there, the run goes on from it, to the same "
                         "bytes as without a break");
+  program.option("--kernels", kernels, "",
+                 "how many irradiance correction kernels: for light that is uneven about a place, as at shadows' "
+                 "borders; 0: none",
+                 0, 200);
   program.option("--codec", codec,
                  "of an .stf; principal-components: of all of a voxel's values; vector-quantisation: the paper's, a "
                  "codeword for each voxel and direction, entropy coded; none: a .vdb",
@@ -155,8 +178,11 @@ int main(int argc, char** argv) {
                     options.paths, run.seed(), SHELLGRID_VERSION);
     run.start_timer("trace");
     IrradianceReport report;
-    const ShellTexture texture =
-        naming(sample_path, [&] { return follow(base_volume(sample), options, state_path, fingerprint, run, report); });
+    const BaseVolume volume = base_volume(sample);
+    ShellTexture texture =
+        naming(sample_path, [&] { return follow(volume, options, state_path, fingerprint, run, report); });
+    run.start_timer("kernels");
+    if (kernels > 0) texture.kernels = irradiance_kernels(volume, kernels, run.seed());
     if (report.interrupted)
       run.progress().warn("interrupted: the values are those of the paths until then");
     else if (options.target_error > 0 && report.median_error > options.target_error)
@@ -167,6 +193,8 @@ int main(int argc, char** argv) {
     write_ply(view, view_shell_texture(texture));
     run.note_output(view);
     run.results().update(in_figures(report, texture));
+    run.results()["kernels"] = texture.kernels.count();
+    run.results()["kernel_radius_mm"] = texture.kernels.empty() ? 0 : texture.kernels.radius(0.97);
     run.print(fmt::format("{}: {:.0f} paths, median standard error {:.2g} %, from below {:.2g} %", run.output(),
                           report.paths, 100 * report.median_error, 100 * report.back_error));
   });

@@ -41,7 +41,7 @@ std::vector<Rgb> exitance_of(const std::string& path, const AttributedMesh& surf
 // The files of a picture by the shell texture function.
 struct ShellTextureFiles {
   std::string texture, shell, core;
-  std::string light = "all";
+  std::string light = "all", correction = "kernels";
 
   bool asked_for() const { return !texture.empty(); }
   void declare(StageProgram& program) {
@@ -52,9 +52,10 @@ struct ShellTextureFiles {
     program.option("--light", light,
                    "which light the shell shows: all of it, that from outside, or that out of the core",
                    {"all", "outside", "core"});
+    program.option("--correction", correction, irradiance_correction_help, irradiance_correction_names);
   }
   void check(const StageProgram& program) const {
-    program.refuse_unless(asked_for(), "--stf", {"--shell", "--core", "--light"});
+    program.refuse_unless(asked_for(), "--stf", {"--shell", "--core", "--light", "--correction"});
     if (asked_for() && shell.empty()) throw UsageError("--stf needs the --shell that it fills");
     if (asked_for() && light == "core" && core.empty()) throw UsageError("--light core needs --core");
   }
@@ -90,15 +91,17 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   ShellTextureSettings shown{settings};
   shown.outside_light = files.light != "core";
   shown.core_light = files.light != "outside";
+  shown.correction = irradiance_correction(files.correction);
   ShellTextureStatistics s;
-  RenderedImage picture = render_shell_texture({object, shell, frames, *texture, core}, scene.lights, *scene.camera,
-                                               shown, &s, run.progress());
+  RenderedImage picture = render_shell_texture({object, shell, frames, *texture, surface.coordinate, core},
+                                               scene.lights, *scene.camera, shown, &s, run.progress());
   run.results()["marches"] = s.marches;
   run.results()["march_steps"] = s.march_steps;
   run.results()["voxels_lit"] = s.voxels_lit;
   run.results()["leaves_lit"] = s.leaves_lit;
   run.results()["leaves_skipped"] = s.leaves_skipped;
   run.results()["vertices_lit"] = s.vertices_lit;
+  run.results()["vertices_corrected"] = s.vertices_corrected;
   picture.statistics.shadow_rays += s.shadow_rays;
   picture.statistics.shadow_rays_skipped += s.shadow_rays_skipped;
   return picture;

@@ -3,6 +3,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "meshing/core/error.h"
@@ -15,12 +16,14 @@ namespace {
 
 // Of the thickness: from this distance to the surface on there is a core, and from this one on all of it.
 constexpr double ended = 0.7, whole = 0.9;
+constexpr int thin_places = 16;  // looked at between two sides
+constexpr double least_share =
+    0.2;  // of the shell's light, that diffusion must send down for a scale to mean something
 
 }  // namespace
 
-CoreSurface core_surface(const IncidentLight& light, const ShellTextureLookup& texture,
+CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
                          const std::vector<Vec2f>& coordinates, double thickness) {
-  const TexturedFrames& frames = light.frames();
   const TriangleMesh& mesh = frames.mesh;
   const auto n = static_cast<std::size_t>(mesh.vertex_count());
   if (coordinates.size() != n) throw InputError("the surface's texture coordinates do not have its size");
@@ -60,12 +63,66 @@ CoreSurface core_surface(const IncidentLight& light, const ShellTextureLookup& t
       n,
       [&](std::size_t i) {
         const Vec2f& at = coordinates[i];
-        const Vec3f down = texture.below(at.x(), at.y(), texture.prepare(light.at(static_cast<int>(i))));
+        const Vec3f down = texture.below(at.x(), at.y(), texture.prepare(light.at_bottom(static_cast<int>(i))));
         surface.power[i] = down.array().max(0) * surface.areas[i];
         surface.shell_reflection[i] = texture.below_of_back_light(at.x(), at.y()).array().max(0).min(1);
       },
       64);
   return surface;
+}
+
+CoreDiffusion core_from_fluence(const TexturedFrames& frames, const CoreSurface& surface, double thickness,
+                                const FluenceField& fluence, const Rgb& diffusion_coefficient) {
+  const std::size_t n = surface.points.size();
+  if (static_cast<std::size_t>(frames.mesh.vertex_count()) != n || surface.power.size() != n ||
+      surface.areas.size() != n || surface.shell_reflection.size() != n)
+    throw InputError("the core's surface does not have the mesh's size");
+  const ClosestPointQuery query(frames.mesh);
+  CoreDiffusion core;
+  core.exitance.resize(n);
+  core.irradiance.resize(n);
+  parallel_for(
+      n,
+      [&](std::size_t i) {
+        const int v = static_cast<int>(i);
+        const Vec3 normal = frames.normals.row(v).transpose(), above = frames.mesh.vertex(v);
+        Vec3 point = surface.points[i].cast<double>();
+        if (!surface.presence.empty() && surface.presence[i] < 1) {
+          // The place on the way down that is farthest from the surface.
+          double deepest = 0;
+          for (int k = 1; k <= thin_places; ++k) {
+            const Vec3 place = above - thickness * k / thin_places * normal;
+            const double depth = std::sqrt(query.nearest(place, thickness).squared_distance);
+            if (std::isfinite(depth) && depth > deepest) {
+              deepest = depth;
+              point = place;
+            }
+          }
+        }
+        const FluenceField::Value value = fluence.at(point);
+        for (int c = 0; c < 3; ++c) {
+          const auto phi = static_cast<double>(value.fluence[c]);
+          const double current = static_cast<double>(diffusion_coefficient[c]) / 2 * value.gradient.row(c).dot(normal);
+          core.exitance[i][c] = static_cast<float>(std::max(0.0, phi / 4 - current));
+          core.irradiance[i][c] = static_cast<float>(std::max(0.0, phi / 4 + current));
+        }
+      },
+      64);
+  for (int c = 0; c < 3; ++c) {
+    double down = 0, diffuse = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+      const auto area = static_cast<double>(surface.areas[i]);
+      down += static_cast<double>(surface.power[i][c]);
+      diffuse +=
+          area * static_cast<double>(core.irradiance[i][c] - surface.shell_reflection[i][c] * core.exitance[i][c]);
+    }
+    if (down > 0 && diffuse > least_share * down) core.scale[c] = down / diffuse;
+    for (std::size_t i = 0; i < n; ++i) {
+      core.exitance[i][c] *= static_cast<float>(core.scale[c]);
+      core.irradiance[i][c] *= static_cast<float>(core.scale[c]);
+    }
+  }
+  return core;
 }
 
 void spread_over_edges(const CoreSurface& surface, double reach, std::vector<Rgb>& exitance) {

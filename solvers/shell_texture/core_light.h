@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // The core below a textured surface, as the light that comes through its shell sees it.
 #pragma once
+#include <array>
 #include <vector>
 
+#include "solvers/diffusion/fluence_field.h"
 #include "solvers/dipole/core_exchange.h"
-#include "solvers/shell_texture/incident_light.h"
+#include "solvers/shell_texture/spread_light.h"
 
 namespace shellgrid {
 
@@ -12,8 +14,24 @@ namespace shellgrid {
 // sample's bottom where it stands there falls on it, per area of the core: so within a white object in even light there
 // is even light, whatever its curvature. Source: [STF §7 step 1].
 // coordinates: texture coordinates of the vertices, texels. Throws: InputError where they do not fit the mesh.
-CoreSurface core_surface(const IncidentLight& light, const ShellTextureLookup& texture,
+CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
                          const std::vector<Vec2f>& coordinates, double thickness);
+
+// The core's light from a solved diffusion of the whole object.
+struct CoreDiffusion {
+  std::vector<Rgb> exitance;    // M of each point, into the shell, W mm⁻²
+  std::vector<Rgb> irradiance;  // from the shell, W mm⁻²
+  // What the shell texture function sends down, over what diffusion does, of all of the core: M is in these units.
+  std::array<double, 3> scale = {1, 1, 1};
+};
+
+// M = φ/4 − D/2 ∂φ/∂n, the part of diffuse light that goes outwards through the core's surface: bounces between shell
+// and core, curvature and thin places are in φ. Where the shell leaves no core, M is that of the middle between its
+// sides. Diffusion errs where light enters; so all light is scaled by what the shell texture function sends down, of
+// which the shell's return of M is no part. Source: PHYSICS §2, the partial currents; [Diffusion].
+// diffusion_coefficient: D of the core, 1/(3 σ_t'), mm. Throws: InputError where sizes do not match.
+CoreDiffusion core_from_fluence(const TexturedFrames& frames, const CoreSurface& surface, double thickness,
+                                const FluenceField& fluence, const Rgb& diffusion_coefficient);
 
 // Points beyond the core's edges, as below a convex edge of the surface, see the core beside them: they take the
 // exitance of the nearest point that lies on it, if one is within `reach` mm.

@@ -40,6 +40,7 @@ class IncidentLight {
 
   const IncidentLightStatistics& statistics() const { return statistics_; }
   const TexturedFrames& frames() const { return frames_; }
+  const LightDirections& directions() const { return directions_; }
 
  private:
   template <class Visit>

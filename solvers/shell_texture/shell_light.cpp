@@ -19,17 +19,18 @@ constexpr std::int32_t free_space_kind = 0;
 
 }  // namespace
 
-ShellLight::ShellLight(const ShellVolume& shell, const IncidentLight& incident, const ShellTextureLookup& texture,
-                       const std::vector<Rgb>& core, const ShellLightParts& parts)
+ShellLight::ShellLight(const ShellVolume& shell, const TexturedFrames& frames, const SpreadLight& incident,
+                       const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts)
     : shell_(shell),
+      frames_(frames),
       incident_(incident),
       texture_(texture),
       core_(core),
       parts_(parts),
       relative_ior_(shell.ior),
-      vertices_(incident.frames().mesh.vertices),
+      vertices_(frames.mesh.vertices),
       leaves_(static_cast<std::size_t>(shell.texture_coordinate.leaf_count())),
-      lights_(static_cast<std::size_t>(incident.frames().mesh.vertex_count())) {
+      lights_(static_cast<std::size_t>(frames.mesh.vertex_count())) {
   if (!core.empty() && core.size() != lights_.size())
     throw InputError("the core's exitance does not have the surface's size");
 }
@@ -61,6 +62,9 @@ const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
   if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
   auto made = std::make_unique<VertexLight>();
   made->light = texture_.prepare(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
+  if (parts_.outside)
+    for (const std::vector<DirectionWeight>& band : incident_.spread(vertex))
+      made->spread.push_back(texture_.prepare(band));
   Vec3 sum = Vec3::Zero();
   double weights = 0;
   for (const DirectionWeight& one : made->light.list) {
@@ -102,6 +106,10 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
   value.whole = texture_.matter()[sampled] > 0.999f;
   const VoxelLight around = texture.at(place, light.light);
   value.multiple = around.multiple.array().max(0);
+  if (!light.spread.empty()) {
+    const PreparedLight& spread = light.spread[texture_.kernels().band_of(static_cast<int>(place.z()))];
+    value.multiple = texture.at(place, spread).multiple.array().max(0);
+  }
   value.single = (value.whole ? texture.voxel_light(sampled, light.light).single : around.single).array().max(0);
   // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
   if (has_core()) value.multiple += 2 * core_[vertex] * texture.back(place).array().max(0);
@@ -154,7 +162,7 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
   const VoxelFluence value = at(voxel);
   if (!value.matter || !light_.parts_.outside) return Rgb::Zero();
   const VertexLight& light = light_.light_at(value.vertex);
-  const Mat3 frame = light_.incident_.frames().frame(value.vertex);
+  const Mat3 frame = light_.frames_.frame(value.vertex);
   Rgb source;
   if (anisotropy.cwiseAbs().maxCoeff() < static_cast<float>(isotropic_below)) {
     source = value.single / (4 * pi);

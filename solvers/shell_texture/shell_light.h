@@ -10,7 +10,7 @@
 
 #include "meshing/shell/shell_volume.h"
 #include "meshing/surface/closest_point.h"
-#include "solvers/shell_texture/incident_light.h"
+#include "solvers/shell_texture/spread_light.h"
 
 namespace shellgrid {
 
@@ -24,8 +24,8 @@ class ShellLight {
  public:
   // core: exitance of the core below each vertex of the surface, or empty. All must outlive this. Throws: InputError
   // where the core does not have the surface's size.
-  ShellLight(const ShellVolume& shell, const IncidentLight& incident, const ShellTextureLookup& texture,
-             const std::vector<Rgb>& core, const ShellLightParts& parts);
+  ShellLight(const ShellVolume& shell, const TexturedFrames& frames, const SpreadLight& incident,
+             const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts);
 
   const ShellVolume& shell() const { return shell_; }
   const Rgb& core_exitance(int vertex) const { return core_[vertex]; }
@@ -85,6 +85,7 @@ class ShellLight {
   Leaf& leaf(int leaf_index) const;
   struct VertexLight {
     PreparedLight light;
+    std::vector<PreparedLight> spread;  // of each of the kernels' bands; none where the light is even
     Vec3f towards = Vec3f::Zero();  // mean direction of the refracted beams, in the sample's frame: shorter, if several
   };
   const VertexLight& light_at(int vertex) const;
@@ -93,7 +94,8 @@ class ShellLight {
   std::size_t sample_voxel(const Vec3f& place, Vec3f& offset) const;
 
   const ShellVolume& shell_;
-  const IncidentLight& incident_;
+  TexturedFrames frames_;
+  const SpreadLight& incident_;
   const ShellTextureLookup& texture_;
   const std::vector<Rgb>& core_;
   ShellLightParts parts_;

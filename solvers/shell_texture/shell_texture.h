@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "meshing/core/vec.h"
+#include "solvers/shell_texture/irradiance_kernels.h"
 
 namespace shellgrid {
 
@@ -41,6 +42,7 @@ struct ShellTexture {
   // Texels × (directions + 1): irradiance that passes down through the bottom, for unit irradiance across the
   // direction; from below for unit irradiance on the bottom, what comes back. At direction · texels + texel.
   std::vector<Vec3f> below;
+  IrradianceKernels kernels;  // may be none
 
   std::size_t voxel_count() const { return matter.size(); }
   std::size_t texel_count() const { return static_cast<std::size_t>(size.x()) * size.y(); }

@@ -40,6 +40,41 @@ int whole(const VdbArchive& archive, double value, const char* key, double most)
   return static_cast<int>(value);
 }
 
+void archive_kernels(const ShellTexture& t, VdbArchive& archive) {
+  const IrradianceKernels& kernels = t.kernels;
+  if (kernels.empty()) return;
+  archive.grids.push_back({"kernel", filled_box<std::int32_t>({t.size.x(), t.size.y(), 1}, 0, [&](int x, int y, int) {
+                             return kernels.of_texel[static_cast<std::size_t>(y) * t.size.x() + x];
+                           })});
+  archive.set_numbers("kernel_sizes", {static_cast<double>(kernels.count()), static_cast<double>(kernels.bands()),
+                                       static_cast<double>(kernels.rings), kernels.ring});
+  archive.set_numbers("kernel_layers", {kernels.first_layer.begin(), kernels.first_layer.end()});
+  std::vector<double> values;
+  for (const Vec3f& value : kernels.values)
+    for (int c = 0; c < 3; ++c) values.push_back(static_cast<double>(value[c]));
+  archive.set_numbers("kernel_values", values);
+}
+
+void restore_kernels(const VdbArchive& archive, ShellTexture& t) {
+  if (!archive.metadata.contains("kernel_sizes")) return;
+  IrradianceKernels& kernels = t.kernels;
+  const std::vector<double> sizes = archive.numbers("kernel_sizes", 4);
+  const int count = whole(archive, sizes[0], "kernel_sizes", 256), bands = whole(archive, sizes[1], "kernel_sizes", 64);
+  kernels.rings = whole(archive, sizes[2], "kernel_sizes", 4096);
+  kernels.ring = sizes[3];
+  for (const double layer : archive.numbers("kernel_layers", bands))
+    kernels.first_layer.push_back(static_cast<int>(layer));
+  const std::vector<double> values =
+      archive.numbers("kernel_values", 3 * static_cast<std::size_t>(count) * bands * kernels.rings);
+  for (std::size_t k = 0; k < values.size(); k += 3)
+    kernels.values.push_back(Eigen::Vector3d(values[k], values[k + 1], values[k + 2]).cast<float>());
+  const auto& grid = archive.get<std::int32_t>("kernel");
+  for (int y = 0; y < t.size.y(); ++y)
+    for (int x = 0; x < t.size.x(); ++x)
+      kernels.of_texel.push_back(static_cast<std::uint8_t>(std::clamp(grid.value(x, y, 0), 0, 255)));
+  if (!kernels.is_sound(t.size)) throw InputError(archive.path + ": its irradiance kernels do not fit together");
+}
+
 }  // namespace
 
 VdbArchive archive_shell_texture(const ShellTexture& t) {
@@ -74,6 +109,7 @@ VdbArchive archive_shell_texture(const ShellTexture& t) {
   archive.set_numbers("voxel", {t.voxel});
   archive.set_numbers("rings", {static_cast<double>(t.directions.rings)});
   archive.set_numbers("turns", {static_cast<double>(t.directions.turns)});
+  archive_kernels(t, archive);
   return archive;
 }
 
@@ -123,6 +159,7 @@ ShellTexture restore_shell_texture(const VdbArchive& archive) {
       count + 1);
   for (int l = 0; l < count; ++l) colours("single", l, t.single);
   for (int l = 0; l <= count; ++l) colours("multiple", l, t.multiple);
+  restore_kernels(archive, t);
   return t;
 }
 

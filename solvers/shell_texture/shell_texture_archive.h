@@ -9,7 +9,9 @@ namespace shellgrid {
 
 // Grids `single_LL` of each direction, `multiple_LL` of each direction, `multiple_back`, `error` (relative standard
 // error of I_m, root mean square over the directions; −1 where nothing is known), `matter` and `below` (its layers are
-// the directions); metadata `size voxel rings turns`. Without loss but for the errors of the single directions.
+// the directions); metadata `size voxel rings turns`. Kernels, if any: grid `kernel` (its number, a texel) and metadata
+// `kernel_sizes` (kernels, bands, rings, a ring's width in mm), `kernel_layers`, `kernel_values`. Without loss but for
+// the errors of the single directions.
 VdbArchive archive_shell_texture(const ShellTexture& texture);
 // Throws: InputError where the archive is not what archive_shell_texture wrote.
 ShellTexture restore_shell_texture(const VdbArchive& archive);

@@ -129,8 +129,33 @@ struct Frame {
     put_list(archive, "whole", packed_bits(whole));
     put_list(archive, "matter", others);
     below.save(archive, "below");
+    const IrradianceKernels& kernels = lookup.kernels();
+    if (kernels.empty()) return;
+    archive.numbers["kernel ring"] = {kernels.ring};
+    archive.counts["kernel sizes"] = {static_cast<std::uint64_t>(kernels.count()),
+                                      static_cast<std::uint64_t>(kernels.bands()),
+                                      static_cast<std::uint64_t>(kernels.rings)};
+    put_list(archive, "kernel layers", kernels.first_layer);
+    put_list(archive, "kernel values", kernels.values);
+    put_list(archive, "kernel of texel", kernels.of_texel);
   }
 };
+
+IrradianceKernels restore_kernels(const NumberArchive& archive, const Vec3i& size, const std::string& path) {
+  IrradianceKernels kernels;
+  const auto ring = archive.numbers.find("kernel ring");
+  if (ring == archive.numbers.end() || ring->second.size() != 1) return kernels;
+  const std::vector<std::uint64_t> sizes = take_list<std::uint64_t>(archive, "kernel sizes", 3, path);
+  if (sizes[0] > 256 || sizes[1] > 64 || sizes[2] > 4096) fail_lists(path);
+  kernels.ring = ring->second[0];
+  kernels.rings = static_cast<int>(sizes[2]);
+  kernels.first_layer = take_list<int>(archive, "kernel layers", sizes[1], path);
+  kernels.values = take_list<Vec3f>(archive, "kernel values", sizes[0] * sizes[1] * sizes[2], path);
+  kernels.of_texel =
+      take_list<std::uint8_t>(archive, "kernel of texel", static_cast<std::size_t>(size.x()) * size.y(), path);
+  if (!kernels.is_sound(size)) fail_lists(path);
+  return kernels;
+}
 
 struct RestoredFrame {
   Frame frame;
@@ -166,6 +191,7 @@ RestoredFrame restore_frame(const NumberArchive& archive, const std::string& pat
   if (r.frame.below.size() != Vec3i(size.x(), size.y(), 1) || r.frame.below.dimensions() != 3 * (table.count() + 1))
     fail_lists(path);
   r.texture = frame_of(size, voxel->second[0], table, r.frame.matter, r.frame.below);
+  r.texture.kernels = restore_kernels(archive, size, path);
   return r;
 }
 
@@ -359,7 +385,8 @@ std::unique_ptr<CompressedShellTexture> compress_shell_texture(const ShellTextur
                                                                const CodecGoal& goal, CodecReport* report) {
   look_up_as_it_is(t);  // refuses arrays that do not fit
   Frame kept{in_bytes(t.matter), compress_below(t)};
-  const ShellTexture frame = frame_of(t.size, t.voxel, t.directions, kept.matter, kept.below);
+  ShellTexture frame = frame_of(t.size, t.voxel, t.directions, kept.matter, kept.below);
+  frame.kernels = t.kernels;
   std::unique_ptr<CompressedShellTexture> result;
   int words = 0;
   if (codec == ShellTextureCodec::principal_components) {

@@ -69,7 +69,8 @@ ShellTextureLookup::ShellTextureLookup(const ShellTexture& texture)
       voxel_(texture.voxel),
       directions_(texture.directions),
       matter_(texture.matter),
-      below_(texture.below) {
+      below_(texture.below),
+      kernels_(texture.kernels) {
   const std::size_t voxels = static_cast<std::size_t>(size_.x()) * size_.y() * size_.z();
   const std::size_t texels = static_cast<std::size_t>(size_.x()) * size_.y();
   if (voxels == 0 || matter_.size() != voxels || below_.size() != texels * (directions_.count() + 1))

@@ -44,6 +44,7 @@ class ShellTextureLookup {
   // Per texel of the bottom and direction, at direction · texels + texel: irradiance that passes down into the core,
   // for unit irradiance across the direction; from below for unit irradiance on the bottom.
   const std::vector<Vec3f>& below() const { return below_; }
+  const IrradianceKernels& kernels() const { return kernels_; }
 
   // Throws: InputError for a direction that the table does not have.
   PreparedLight prepare(std::vector<DirectionWeight> list) const;
@@ -70,6 +71,7 @@ class ShellTextureLookup {
   LightDirections directions_;
   std::vector<float> matter_;
   std::vector<Vec3f> below_;
+  IrradianceKernels kernels_;
 };
 
 // Points are in voxels: voxel (x, y, z) covers [x, x+1)×[y, y+1)×[z, z+1), z is depth. x and y wrap around; above the

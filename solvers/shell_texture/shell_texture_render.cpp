@@ -299,7 +299,9 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
     if (!value.isFinite().all() || (value < 0).any()) throw InputError("the core's exitance is negative or not finite");
   const IncidentLight incident(scene.frames, stage.geometry, lights, scene.texture.directions(),
                                settings.render.environment_samples);
-  const ShellLight light(scene.shell, incident, scene.texture, scene.core,
+  const IrradianceKernels kernels = corrected_by(scene.texture.kernels(), settings.correction);
+  const SpreadLight spread(incident, kernels, scene.texture.size(), scene.coordinates);
+  const ShellLight light(scene.shell, scene.frames, spread, scene.texture, scene.core,
                          {settings.outside_light, settings.core_light});
   const ShellPicture picture(scene, stage, light, settings);
   const auto from_camera = [&](const Vec3& origin, const Vec3& direction) {
@@ -350,6 +352,7 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
     statistics->leaves_lit = counts.leaves;
     statistics->leaves_skipped = scene.shell.texture_coordinate.leaf_count() - counts.leaves;
     statistics->vertices_lit = counts.vertices;
+    statistics->vertices_corrected = spread.spread_vertices();
     statistics->shadow_rays = incident.statistics().shadow_rays;
     statistics->shadow_rays_skipped = incident.statistics().shadow_rays_skipped;
   }

@@ -5,7 +5,7 @@
 
 #include "meshing/shell/shell_volume.h"
 #include "solvers/render/surface_render.h"
-#include "solvers/shell_texture/incident_light.h"
+#include "solvers/shell_texture/spread_light.h"
 #include "solvers/transport/transport_object.h"
 
 namespace shellgrid {
@@ -14,13 +14,15 @@ namespace shellgrid {
 struct ShellTextureScene {
   const TransportObject& object;  // its outer surface, and that of its shell's free space
   const ShellVolume& shell;
-  TexturedFrames frames;              // of the surface that the shell lies below
-  const ShellTextureLookup& texture;  // of the sample that the shell was made of
-  const std::vector<Rgb>& core;       // exitance of the core below each vertex, W mm⁻²; empty: a black core
+  TexturedFrames frames;                  // of the surface that the shell lies below
+  const ShellTextureLookup& texture;      // of the sample that the shell was made of
+  const std::vector<Vec2f>& coordinates;  // of the surface's vertices in the sample, texels
+  const std::vector<Rgb>& core;           // exitance of the core below each vertex, W mm⁻²; empty: a black core
 };
 
 struct ShellTextureSettings {
   RenderSettings render;
+  IrradianceCorrection correction = IrradianceCorrection::kernels;
   bool outside_light = true;     // light from outside, scattered within the shell
   bool core_light = true;        // light from the core, through the shell [STF fig. 8]
   bool unscattered_core = true;  // that part of it which the shell has not scattered; the paper leaves it out
@@ -37,6 +39,7 @@ struct ShellTextureStatistics {
   std::int64_t voxels_lit = 0;      // whose irradiance was looked up
   std::int64_t leaves_lit = 0;      // of the shell's
   std::int64_t leaves_skipped = 0;  // that no ray has seen
+  std::int64_t vertices_corrected = 0;
   std::int64_t vertices_lit = 0, shadow_rays = 0, shadow_rays_skipped = 0;
 };
 

@@ -219,6 +219,7 @@ class SlabWalk {
   //   void way(std::size_t voxel, Double4 way)   a stretch in matter, weights times lengths
   //   void collided(const SlabPath&)             with the weights before the albedo takes its share
   //   void mirrored()
+  //   void wrapped(int axis, double by)          may be missing: the tile's other side, so far off
   //   void left(const SlabPath&)                 through the top, or where the direction's z is positive the bottom
   template <class Visitor>
   void follow(SlabPath& path, Visitor& visitor) const {
@@ -245,6 +246,10 @@ class SlabWalk {
         return;
       } else {
         wrap(path, exit.side);
+        if constexpr (requires { visitor.wrapped(0, 0.0); }) {
+          const int axis = static_cast<int>(exit.side);
+          visitor.wrapped(axis, path.direction[axis] > 0 ? slab_.width(axis) : -slab_.width(axis));
+        }
       }
     }
   }

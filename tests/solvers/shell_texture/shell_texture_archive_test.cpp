@@ -25,6 +25,11 @@ ShellTexture noise() {
   }
   for (std::size_t k = 0; k < 7 * 45; ++k) t.below.emplace_back(value(k), value(5 * k), value(7 * k));
   for (std::size_t k = 0; k < voxels; ++k) t.matter.push_back(k < 4 ? 0.0f : value(k));
+  t.kernels.ring = 0.25;
+  t.kernels.rings = 3;
+  t.kernels.first_layer = {0, 1, 3};
+  for (std::size_t k = 0; k < 2 * 3 * 3; ++k) t.kernels.values.emplace_back(value(k), value(2 * k), 0);
+  for (std::size_t k = 0; k < 45; ++k) t.kernels.of_texel.push_back(k % 2);
   return t;
 }
 
@@ -39,6 +44,10 @@ TEST(ShellTextureArchive, ComesBackAsItWas) {
   EXPECT_TRUE(back.multiple == t.multiple);
   EXPECT_TRUE(back.below == t.below);
   EXPECT_EQ(back.matter, t.matter);
+  EXPECT_EQ(back.kernels.ring, 0.25);
+  EXPECT_EQ(back.kernels.first_layer, t.kernels.first_layer);
+  EXPECT_TRUE(back.kernels.values == t.kernels.values);
+  EXPECT_EQ(back.kernels.of_texel, t.kernels.of_texel);
   // The root mean square over the directions that are known.
   double sum = 0;
   int known = 0;

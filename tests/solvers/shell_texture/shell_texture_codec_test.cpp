@@ -86,7 +86,8 @@ TEST(ShellTextureCodec, IsAsSmallAsAskedFor) {
 }
 
 TEST(ShellTextureCodec, ComesBackFromItsArchiveAndAnswersInAnyOrder) {
-  const ShellTexture t = smooth({21, 13, 3}, 0.02);
+  ShellTexture t = smooth({21, 13, 3}, 0.02);
+  t.kernels = {0.3, 2, {0, 1, 3}, std::vector<Vec3f>(6, Vec3f(1, 2, 3)), std::vector<std::uint8_t>(21 * 13, 0)};
   for (const ShellTextureCodec codec :
        {ShellTextureCodec::principal_components, ShellTextureCodec::vector_quantisation}) {
     CodecGoal goal;
@@ -98,6 +99,8 @@ TEST(ShellTextureCodec, ComesBackFromItsArchiveAndAnswersInAnyOrder) {
     EXPECT_EQ(back->voxel(), 0.3);
     EXPECT_EQ(back->matter(), lookup->matter());
     EXPECT_TRUE(back->below() == lookup->below());
+    EXPECT_TRUE(back->kernels().values == t.kernels.values);
+    EXPECT_EQ(back->kernels().first_layer, t.kernels.first_layer);
     const auto one = lookup->reader(), other = back->reader();
     const PreparedLight light = lookup->prepare({{3, {1, 0.5f, 2}}, {70, {0, 1, 1}}}), same = back->prepare(light.list);
     for (std::size_t k = 0; k < t.voxel_count(); ++k) {

@@ -31,6 +31,7 @@ struct Ball {
   std::unique_ptr<TransportObject> object;
   std::unique_ptr<ShellTextureLookup> texture;
   std::vector<Rgb> core;
+  std::vector<Vec2f> coordinates;
 
   explicit Ball(float anisotropy = 0) {
     directions.resize(mesh.vertex_count(), 3);
@@ -62,6 +63,7 @@ struct Ball {
     std::fill(values.below.begin() + static_cast<std::ptrdiff_t>(4 * count), values.below.end(),
               Vec3f::Constant(returned));
     texture = look_up_as_it_is(values);
+    coordinates.assign(static_cast<std::size_t>(mesh.vertex_count()), Vec2f(0.3f, 0.9f));
     core.assign(static_cast<std::size_t>(mesh.vertex_count()), Rgb(2, 3, 4));
   }
 
@@ -71,7 +73,8 @@ struct Ball {
     camera.position = Vec3(0, 0, 200);
     camera.fov = 2;
     camera.width = camera.height = 9;
-    return render_shell_texture({*object, shell, frames(), *texture, core}, lights, camera, settings, statistics);
+    return render_shell_texture({*object, shell, frames(), *texture, coordinates, core}, lights, camera, settings,
+                                statistics);
   }
   std::vector<Light> lights = {DirectionalLight{Vec3(0, 0, -1), Rgb(5, 6, 7)}};
 };
@@ -148,9 +151,10 @@ TEST(ShellTextureRender, RefusesCamerasInsideAndForeignCores) {
   Ball ball;
   Camera camera;
   camera.position = Vec3(1, 2, 3);
-  EXPECT_THROW(render_shell_texture({*ball.object, ball.shell, ball.frames(), *ball.texture, ball.core}, ball.lights,
-                                    camera, {}),
-               InputError);
+  EXPECT_THROW(
+      render_shell_texture({*ball.object, ball.shell, ball.frames(), *ball.texture, ball.coordinates, ball.core},
+                           ball.lights, camera, {}),
+      InputError);
   ball.core.pop_back();
   EXPECT_THROW(ball.picture({}), InputError);
 }
@@ -159,8 +163,8 @@ TEST(CoreLight, FallsOnTheCorePerArea) {
   const Ball ball;
   const SceneGeometry geometry(ball.mesh);
   const IncidentLight light(ball.frames(), geometry, ball.lights, ball.texture->directions(), 64);
-  const std::vector<Vec2f> coordinates(static_cast<std::size_t>(ball.mesh.vertex_count()), Vec2f(0.3f, 0.9f));
-  const CoreSurface core = core_surface(light, *ball.texture, coordinates, thickness);
+  const SpreadLight spread(light, {}, ball.texture->size(), ball.coordinates);
+  const CoreSurface core = core_surface(ball.frames(), spread, *ball.texture, ball.coordinates, thickness);
   double area = 0;
   for (int v = 0; v < ball.mesh.vertex_count(); ++v) {
     area += static_cast<double>(core.areas[v]);
@@ -173,8 +177,36 @@ TEST(CoreLight, FallsOnTheCorePerArea) {
   }
   EXPECT_NEAR(area / (4 * pi * 36 * 36), 1, 0.01);
   // A shell as thick as the ball leaves no core.
-  const CoreSurface none = core_surface(light, *ball.texture, coordinates, 1.5 * radius);
+  const CoreSurface none = core_surface(ball.frames(), spread, *ball.texture, ball.coordinates, 1.5 * radius);
   for (const float a : none.areas) EXPECT_EQ(a, 0);
+}
+
+// A fluence that falls along z, in one hexahedron about the ball: what goes outwards, and what comes in.
+TEST(CoreLight, OfADiffusionGoesOutwards) {
+  Ball ball;
+  const SceneGeometry geometry(ball.mesh);
+  const IncidentLight light(ball.frames(), geometry, ball.lights, ball.texture->directions(), 64);
+  const SpreadLight spread(light, {}, ball.texture->size(), ball.coordinates);
+  const CoreSurface core = core_surface(ball.frames(), spread, *ball.texture, ball.coordinates, thickness);
+  VertexMatrix corners(8, 3);
+  std::vector<Rgb> fluence;
+  for (int a = 0; a < 8; ++a) {
+    corners.row(a) << (a % 4 == 1 || a % 4 == 2 ? 50 : -50), (a % 4 > 1 ? 50 : -50), (a > 3 ? 50 : -50);
+    fluence.push_back(Rgb::Constant(static_cast<float>(8 + 0.1 * corners(a, 2))));
+  }
+  const FluenceField field(corners, {0, 1, 2, 3, 4, 5, 6, 7}, fluence);
+  const CoreDiffusion shine = core_from_fluence(ball.frames(), core, thickness, field, Rgb(0.2f, 1, 5));
+  double down = 0, diffuse = 0;
+  for (int v = 0; v < ball.mesh.vertex_count(); ++v) {
+    const double phi = 8 + 0.1 * static_cast<double>(core.points[v].z()), slope = 0.1 * ball.normals(v, 2);
+    EXPECT_NEAR(shine.exitance[v][1] / shine.scale[1], phi / 4 - slope / 2, 1e-4);
+    EXPECT_NEAR(shine.irradiance[v][2] / shine.scale[2], phi / 4 + 5 * slope / 2, 1e-4);
+    down += static_cast<double>(core.power[v][1]);
+    diffuse += static_cast<double>(core.areas[v]) *
+               (phi / 4 + slope / 2 - static_cast<double>(returned) * (phi / 4 - slope / 2));
+  }
+  EXPECT_NEAR(shine.scale[1], down / diffuse, 1e-3 * down / diffuse);
+  EXPECT_THROW(core_from_fluence(ball.frames(), CoreSurface{}, thickness, field, Rgb::Ones()), InputError);
 }
 
 }  // namespace

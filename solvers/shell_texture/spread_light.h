@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+// Light at a surface as the matter below sees it: from all of the surface about, by irradiance correction kernels.
+#pragma once
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <vector>
+
+#include "solvers/shell_texture/incident_light.h"
+
+namespace shellgrid {
+
+// How light that is uneven about a place reaches the matter below: as if it were even; by one kernel, the mean of all;
+// or by the kernel of each place of entry.
+enum class IrradianceCorrection { none, one_kernel, kernels };
+IrradianceKernels corrected_by(const IrradianceKernels& kernels, IrradianceCorrection correction);
+
+// The shell texture function takes the light that one place of the surface gets to shine on all of the sample. Where it
+// does not, at the borders of shadows and where the surface turns away, scattered light comes from the light about:
+// Σ_u A_u κ(d_u) L_u / Σ_u A_u κ(d_u), with κ the kernel of the place u and L_u its light by the table's directions.
+// Even light stays even. Source: [STF §7, irradiance correction], there I_0(x') plus the kernel's sum of I_0(u) −
+// I_0(x'), of photons from each u; the same but for the sum's normalisation.
+//
+// Worked out where it is asked for. Threads may share it.
+class SpreadLight {
+ public:
+  // coordinates: of the vertices in the sample, texels. kernels may be none: then nothing spreads. All must outlive
+  // this. Throws: InputError where sizes do not match.
+  SpreadLight(const IncidentLight& incident, const IrradianceKernels& kernels, const Vec3i& sample,
+              const std::vector<Vec2f>& coordinates);
+
+  // The light itself: ordered by direction, each once.
+  const std::vector<DirectionWeight>& at(int vertex) const;
+  // For each of the kernels' bands the light of which matter there scatters its share; empty where that is `at` itself,
+  // within `unevenness` of the brightest.
+  const std::vector<std::vector<DirectionWeight>>& spread(int vertex) const;
+  // The same for what passes through the bottom alone; not kept.
+  std::vector<DirectionWeight> at_bottom(int vertex) const;
+
+  std::int64_t spread_vertices() const { return spread_vertices_; }
+  static constexpr double unevenness = 0.01;
+
+ private:
+  struct Entry {
+    std::vector<DirectionWeight> light;
+    Vec3f irradiance = Vec3f::Zero();
+  };
+  // Vertices near each other that face the same way.
+  struct Bucket {
+    std::vector<int> members;
+    Vec3 middle = Vec3::Zero();
+    Vec3 facing = Vec3::Zero();
+    double area = 0, radius = 0;
+  };
+  const Entry& entry(int vertex) const;
+  const Entry& mean_of(int bucket) const;
+  std::vector<std::vector<DirectionWeight>> worked_out(int vertex, int first_band) const;
+  void sort_into_buckets();
+
+  const IncidentLight& incident_;
+  const IrradianceKernels& kernels_;
+  Vec3i sample_;
+  const std::vector<Vec2f>& coordinates_;
+  IrradianceKernels mean_kernel_;
+  double radius_ = 0, edge_ = 0;  // of what counts, mm; of the buckets' cells, mm
+  std::vector<float> areas_;      // of vertices, mm²
+  std::vector<Bucket> buckets_;
+  std::vector<std::pair<std::uint64_t, int>> cells_;  // sorted: cell and bucket
+  template <class T>
+  struct Lazy {
+    mutable std::vector<std::atomic<const T*>> known;
+    mutable std::vector<std::unique_ptr<const T>> owned;
+    mutable std::mutex mutex;
+    // `make` is called without a lock held: of threads that make the same the first one's is kept.
+    template <class Make>
+    const T& get(int index, const Make& make) const;
+  };
+  Lazy<Entry> entries_, means_;
+  Lazy<std::vector<std::vector<DirectionWeight>>> spreads_;
+  mutable std::atomic<std::int64_t> spread_vertices_{0};
+};
+
+}  // namespace shellgrid

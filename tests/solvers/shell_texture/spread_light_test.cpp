@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/shell_texture/spread_light.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "meshing/core/error.h"
+#include "meshing/surface/half_edges.h"
+#include "solvers/shell_texture/irradiance_tracing.h"
+#include "tests/support/base_volumes.h"
+#include "tests/support/closed_shapes.h"
+
+namespace shellgrid {
+namespace {
+
+constexpr double pi = std::numbers::pi;
+
+double total(const IrradianceKernels& k, int kernel, int band, int channel) {
+  double sum = 0;
+  for (int r = 0; r < k.rings; ++r) {
+    const double area = pi * k.ring * k.ring * (2 * r + 1);
+    sum += area * static_cast<double>(k.values[(kernel * k.bands() + band) * k.rings + r][channel]);
+  }
+  return sum;
+}
+
+// Light that enters everywhere is light that enters at one place, seen from everywhere.
+TEST(IrradianceKernels, AddUpToWhatEvenLightLeaves) {
+  BaseVolume volume = test::layer({2, 3, 8}, Vec3f(1.5f, 2, 3), Vec3f(0.7f, 0.8f, 0.9f), 0, 1);
+  IrradianceOptions traced;
+  traced.paths = 30000;
+  traced.directions = {24, 4};
+  const ShellTexture t = trace_irradiance(volume, traced);
+  KernelOptions options;
+  options.paths = 4e5;
+  const IrradianceKernels kernels = trace_kernels(volume, std::vector<std::uint8_t>(6, 0), options);
+  ASSERT_TRUE(kernels.is_sound(volume.size));
+  ASSERT_EQ(kernels.count(), 1);
+  EXPECT_EQ(kernels.first_layer, (std::vector<int>{0, 1, 2, 4, 8}));
+  for (int c = 0; c < 3; ++c) {
+    for (int band = 0; band < kernels.bottom(); ++band) {
+      double expected = 0;
+      for (int z = kernels.first_layer[band]; z < kernels.first_layer[band + 1]; ++z)
+        for (int l = 0; l < t.directions.count(); ++l) {
+          const int ring = l / t.directions.turns;
+          const double step = pi / (2 * t.directions.rings);
+          const double solid_angle =
+              2 * pi / t.directions.turns * (std::cos(ring * step) - std::cos((ring + 1) * step));
+          for (std::size_t texel = 0; texel < 6; ++texel)
+            expected +=
+                volume.voxel * solid_angle / pi / 6 * static_cast<double>(t.multiple[t.at(l, 6 * z + texel)][c]);
+        }
+      EXPECT_NEAR(total(kernels, 0, band, c) / expected, 1, 0.03) << c << " " << band;
+    }
+  }
+  // Deeper down it has gone farther, and farther than the tile is wide.
+  EXPECT_GT(kernels.radius(0.97), 1.5 * 2 * volume.voxel);
+  EXPECT_LT(kernels.value(0, 4, 0.2)[0] / kernels.value(0, 4, 2)[0],
+            kernels.value(0, 0, 0.2)[0] / kernels.value(0, 0, 2)[0]);
+}
+
+TEST(IrradianceKernels, BelongToTheirPlaces) {
+  // Two halves: a strong absorber, and what lets light through.
+  BaseVolume volume = test::layer({16, 16, 6}, Vec3f::Constant(3), Vec3f::Constant(0.99f), 0, 1.3);
+  for (std::size_t v = 0; v < volume.voxel_count(); ++v)
+    if (v % 16 < 8) volume.albedo[v].setConstant(0.3f);
+  const auto domains = kernel_domains(volume);
+  ASSERT_EQ(domains.size(), 256u);
+  EXPECT_NE(domains[4], domains[12]);
+  EXPECT_EQ(domains[4], domains[4 + 16 * 7]);
+  std::vector<std::uint8_t> of_texel(256);
+  for (std::size_t t = 0; t < 256; ++t) of_texel[t] = t % 16 < 8 ? 0 : 1;
+  const IrradianceKernels two = trace_kernels(volume, of_texel);
+  ASSERT_EQ(two.count(), 2);
+  EXPECT_GT(total(two, 1, 2, 0), 3 * total(two, 0, 2, 0));
+  const IrradianceKernels one = two.merged();
+  EXPECT_EQ(one.count(), 1);
+  EXPECT_NEAR(total(one, 0, 2, 0), (total(two, 0, 2, 0) + total(two, 1, 2, 0)) / 2, 1e-4);
+  EXPECT_THROW(trace_kernels(volume, std::vector<std::uint8_t>(255)), InputError);
+}
+
+TEST(IrradianceKernels, ServeOverhangsAndMatterWithHoles) {
+  BaseVolume volume = test::layer({10, 10, 8}, Vec3f::Constant(2), Vec3f::Constant(0.9f), 0.5f, 1.4);
+  test::cut_mushroom(volume);
+  EXPECT_TRUE(trace_kernels(volume, std::vector<std::uint8_t>(100, 0)).is_sound(volume.size));
+  for (int z = 0; z < 8; ++z) volume.free[volume.index(4, 4, z)] = 1;
+  EXPECT_TRUE(trace_kernels(volume, std::vector<std::uint8_t>(100, 0)).is_sound(volume.size));
+  const BaseVolume voxel = test::layer({1, 1, 1}, Vec3f::Constant(2), Vec3f::Constant(0.9f), 0, 1);
+  EXPECT_TRUE(trace_kernels(voxel, {0}).is_sound(voxel.size));
+}
+
+// A flat plate, of which a screen far above covers the half x < 0.
+struct HalfLit {
+  TriangleMesh plate;
+  VertexMatrix normals, directions;
+  std::vector<Vec2f> coordinates;
+  BaseVolume volume = test::layer({4, 4, 8}, Vec3f(1.5f, 2, 3), Vec3f(0.95f, 0.9f, 0.5f), 0, 1);
+  IrradianceKernels kernels = trace_kernels(volume, std::vector<std::uint8_t>(16, 0));
+  static constexpr int side = 121;
+  static constexpr double spacing = 0.25;
+
+  HalfLit() {
+    std::vector<Vec3> vertices;
+    std::vector<Eigen::Vector3i> faces;
+    for (int j = 0; j < side; ++j)
+      for (int i = 0; i < side; ++i) vertices.emplace_back((i - side / 2) * spacing, (j - side / 2) * spacing, 0);
+    for (int j = 0; j + 1 < side; ++j)
+      for (int i = 0; i + 1 < side; ++i) {
+        const int a = j * side + i;
+        faces.emplace_back(a, a + 1, a + side);
+        faces.emplace_back(a + 1, a + side + 1, a + side);
+      }
+    plate = shapes::from_lists(vertices, faces);
+    normals = VertexMatrix::Zero(side * side, 3);
+    directions = normals;
+    normals.col(2).setOnes();
+    directions.col(0).setOnes();
+    coordinates.assign(vertices.size(), Vec2f(1.5f, 2.5f));
+  }
+  int vertex(int i) const { return side / 2 * side + side / 2 + i; }
+};
+
+TEST(SpreadLight, CrossesShadowBordersAsItsKernelsDo) {
+  const HalfLit scene;
+  const TexturedFrames frames{scene.plate, scene.normals, scene.directions};
+  // Its border between two rows of vertices.
+  const TriangleMesh screen = shapes::moved(shapes::box(Vec3(100, 100, 1)), Vec3(-50 - scene.spacing / 2, 0, 20));
+  const SceneGeometry geometry(shapes::joined(scene.plate, screen));
+  const std::vector<Light> lights = {DirectionalLight{Vec3(0, 0, -1), Rgb(2, 3, 4)}};
+  const LightDirections table;
+  const IncidentLight light(frames, geometry, lights, table, 16);
+  const SpreadLight spread(light, scene.kernels, scene.volume.size, scene.coordinates);
+  const auto irradiance = [&](const std::vector<DirectionWeight>& list) {
+    Vec3f sum = Vec3f::Zero();
+    for (const DirectionWeight& one : list) sum += one.weight;
+    return sum;
+  };
+  EXPECT_TRUE(spread.at(scene.vertex(-1)).empty());
+  EXPECT_FLOAT_EQ(irradiance(spread.at(scene.vertex(0)))[1], 3);
+  const int bands = scene.kernels.bands();
+  const auto share = [&](int i, int band, int c) {
+    const auto& list = spread.spread(scene.vertex(i));
+    return static_cast<double>(irradiance(list.empty() ? spread.at(scene.vertex(i)) : list[band])[c]) / (2 + c);
+  };
+  double deepest_reach = 0;
+  for (int band = 0; band < bands; ++band)
+    for (int c = 0; c < 3; ++c)
+      for (const int i : {-8, -4, -2, -1, 0, 1, 3, 7}) {
+        // The kernel's share beyond a straight line at that distance, by quadrature.
+        const double line = (-i - 0.5) * scene.spacing;
+        double lit = 0, all = 0;
+        const double step = 0.01;
+        for (double r = step / 2; r < scene.kernels.rings * scene.kernels.ring; r += step) {
+          const double light_there = r * static_cast<double>(scene.kernels.value(0, band, r)[c]);
+          const double beyond = line >= r ? 0 : line <= -r ? 1 : std::acos(line / r) / pi;
+          lit += light_there * beyond;
+          all += light_there;
+        }
+        EXPECT_NEAR(share(i, band, c), lit / all, 0.02) << band << " " << c << " " << i;
+        if (band == bands - 1 && c == 0 && i == -8) deepest_reach = lit / all;
+      }
+  EXPECT_GT(deepest_reach, 0.03);
+  // What passes the bottom is the last band's.
+  EXPECT_EQ(irradiance(spread.at_bottom(scene.vertex(-2))), irradiance(spread.spread(scene.vertex(-2)).back()));
+  // Far from the border light stays as it is, without a list.
+  EXPECT_TRUE(spread.spread(scene.vertex(45)).empty());
+  EXPECT_TRUE(spread.spread(scene.vertex(-45)).empty());
+  EXPECT_TRUE(spread.at_bottom(scene.vertex(-45)).empty());
+  // Without kernels nothing spreads.
+  const IrradianceKernels none;
+  const SpreadLight sharp(light, none, scene.volume.size, scene.coordinates);
+  EXPECT_TRUE(sharp.spread(scene.vertex(0)).empty());
+  EXPECT_TRUE(sharp.at_bottom(scene.vertex(-1)).empty());
+}
+
+TEST(SpreadLight, RefusesWhatDoesNotFit) {
+  const HalfLit scene;
+  const TexturedFrames frames{scene.plate, scene.normals, scene.directions};
+  const SceneGeometry geometry(scene.plate);
+  const IncidentLight light(frames, geometry, {}, {}, 16);
+  EXPECT_THROW(SpreadLight(light, scene.kernels, scene.volume.size, std::vector<Vec2f>(3)), InputError);
+  EXPECT_THROW(SpreadLight(light, scene.kernels, Vec3i(4, 5, 8), scene.coordinates), InputError);
+}
+
+}  // namespace
+}  // namespace shellgrid
