@@ -92,6 +92,38 @@ class ShellTextureSceneTest(WorkplaceTest):
         self.assertEqual(*pictures)
         self.refuses_files_that_do_not_fit(files, core_path)
 
+    def test_the_core_may_be_a_polygrid_s_and_uneven_light_is_corrected(self):
+        self.content["method"].update(core="polygrid", nodes=2e4)
+        ran = [output for _, output in self.make()]
+        self.assertLess(ran.index("fluence.hdf"), ran.index("core.ply"))
+        results = record(self.at("out", "core.ply"))["results"]
+        self.assertEqual(results["model"], "polygrid")
+        for scale in results["scale"]:
+            self.assertAlmostEqual(scale, 1, delta=0.25)
+        red, green, blue = self.pixels()
+        self.assertAlmostEqual(red, 1, delta=0.03)
+        self.assertTrue(0.3 < blue < green < red)
+        # Even light has nothing to correct; a sun's does, where the ball turns away from it.
+        self.assertEqual(results["vertices_corrected"], 0)
+        self.content["lights"] = [SUN]
+        self.make()
+        self.assertGreater(record(self.at("out", "image.exr"))["results"]["vertices_corrected"], 0)
+        self.behind = 0
+        core = ["--core", self.at("out", "core.ply")]
+        shown = {how: self.pixels(*core, "--correction", how)[1] for how in ("kernels", "one", "none")}
+        self.assertAlmostEqual(shown["kernels"], self.pixels(*core)[1], delta=1e-6)
+        self.assertNotEqual(shown["kernels"], shown["none"])
+        self.assertAlmostEqual(shown["kernels"] / shown["one"], 1, delta=0.01)  # one material: kernels differ by chance
+        files = [self.at("out", name) for name in ("synthesized.ply", "shell.vdb", "stf.vdb")]
+        for code, complaint, arguments in (
+                (3, "fluence", ["--fluence", self.at("out", "polygrid.hdf")]),
+                (3, "fluence", ["--fluence", self.at("out", "tets.hdf")]),
+                (2, "--fluence", ["--fluence", self.at("out", "fluence.hdf"), "--bounces", 3])):
+            done = run("core", self.at("out", "plan", "core.json"), *files, "-o", self.at("refused.ply"), *arguments)
+            self.assertEqual(done.returncode, code, (arguments, done.stderr))
+            self.assertIn(complaint, done.stderr)
+            self.assertFalse(os.path.exists(self.at("refused.ply")))
+
     def refuses_files_that_do_not_fit(self, files, core):
         synthesized, shell, stf = files
         slice_path = self.at("out", "plan", "render.json")
