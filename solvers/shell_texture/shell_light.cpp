@@ -117,21 +117,32 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
   return value;
 }
 
-ShellLight::VoxelFluence ShellLight::Reader::at(const Vec3i& voxel) {
+const ShellLight::VoxelFluence* ShellLight::Reader::at(const Vec3i& voxel) {
   const auto& grid = light_.shell_.texture_coordinate;
-  const int leaf_index = grid.find_leaf(TwoLevelGrid<Vec3f>::leaf_of(voxel.x(), voxel.y(), voxel.z()));
-  if (leaf_index < 0) return {};
-  const int offset = TwoLevelGrid<Vec3f>::offset_of(voxel.x(), voxel.y(), voxel.z());
-  if (!TwoLevelGrid<Vec3f>::mask_test(grid.leaf_mask(leaf_index), offset)) return {};
-  Leaf& leaf = light_.leaf(leaf_index);
-  if (leaf.flags[offset].load(std::memory_order_acquire) == 2) return leaf.values[offset];
-  const VoxelFluence value = light_.work_out(leaf_index, offset, voxel, *texture_, vertex_);
-  std::uint8_t unknown = 0;
-  if (leaf.flags[offset].compare_exchange_strong(unknown, 1)) {
-    leaf.values[offset] = value;
-    leaf.flags[offset].store(2, std::memory_order_release);
+  const Vec3i leaf_at = TwoLevelGrid<Vec3f>::leaf_of(voxel.x(), voxel.y(), voxel.z());
+  if (leaf_at != leaf_at_) {
+    leaf_at_ = leaf_at;
+    leaf_index_ = grid.find_leaf(leaf_at);
+    leaf_ = leaf_index_ < 0 ? nullptr : &light_.leaf(leaf_index_);
   }
-  return value;
+  if (!leaf_) return nullptr;
+  const int offset = TwoLevelGrid<Vec3f>::offset_of(voxel.x(), voxel.y(), voxel.z());
+  Leaf& leaf = *leaf_;
+  VoxelFluence* value = &leaf.values[offset];
+  if (leaf.flags[offset].load(std::memory_order_acquire) != 2) {
+    if (!TwoLevelGrid<Vec3f>::mask_test(grid.leaf_mask(leaf_index_), offset)) return nullptr;
+    const VoxelFluence found = light_.work_out(leaf_index_, offset, voxel, *texture_, vertex_);
+    std::uint8_t unknown = 0;
+    if (leaf.flags[offset].compare_exchange_strong(unknown, 1)) {
+      *value = found;
+      leaf.flags[offset].store(2, std::memory_order_release);
+    } else {
+      // Another thread is writing the same.
+      value = &spare_[next_spare_++ % spare_.size()];
+      *value = found;
+    }
+  }
+  return value->matter ? value : nullptr;
 }
 
 Rgb ShellLight::Reader::multiple(const Vec3& index, std::int32_t& vertex) {
@@ -145,22 +156,24 @@ Rgb ShellLight::Reader::multiple(const Vec3& index, std::int32_t& vertex) {
     float weight = 1;
     for (int a = 0; a < 3; ++a) weight *= step[a] ? part[a] : 1 - part[a];
     if (!(weight > 0)) continue;
-    const VoxelFluence value = at(low + step);
-    if (!value.matter) continue;
-    sum += weight * value.multiple;
+    const VoxelFluence* value = at(low + step);
+    if (!value) continue;
+    sum += weight * value->multiple;
     weights += weight;
     if (weight > greatest) {
       greatest = weight;
-      vertex = value.vertex;
+      vertex = value->vertex;
     }
   }
   return weights > 0 ? Rgb(sum / weights) : Rgb(Rgb::Zero());
 }
 
 Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3& direction, const Vec3f& anisotropy,
-                              const Rgb& extinction) {
-  const VoxelFluence value = at(voxel);
-  if (!value.matter || !light_.parts_.outside) return Rgb::Zero();
+                              const Rgb& extinction, Rgb& growth) {
+  growth = Rgb::Zero();
+  const VoxelFluence* found = at(voxel);
+  if (!found || !light_.parts_.outside) return Rgb::Zero();
+  const VoxelFluence& value = *found;
   const VertexLight& light = light_.light_at(value.vertex);
   const Mat3 frame = light_.frames_.frame(value.vertex);
   Rgb source;
@@ -192,6 +205,7 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
   const Vec3f from_middle = value.offset + (frame * (index - voxel.cast<double>())).cast<float>();
   const auto edge = static_cast<float>(light_.shell_.frame.voxel);
   const float ahead = from_middle.dot(light.towards);
+  growth = extinction * (frame * direction).cast<float>().dot(light.towards);
   Rgb mean = Rgb::Ones();
   for (int a = 0; a < 3; ++a) {
     const Rgb half = extinction * (edge * light.towards[a] / 2), square = half.square();

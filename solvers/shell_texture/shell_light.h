@@ -4,6 +4,7 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -47,32 +48,6 @@ class ShellLight {
     bool whole = false;  // the sample's voxel is all matter
   };
 
-  class Reader {
-   public:
-    explicit Reader(const ShellLight& light) : light_(light), texture_(light.texture_.reader()) {}
-
-    // Voxel (i, j, k) of the shell's grid.
-    VoxelFluence at(const Vec3i& voxel);
-    int nearest_vertex(const Vec3& point) { return vertex_ = light_.vertices_.nearest(point, vertex_); }
-    // φ of the multiple kind about a point, by its grid coordinates: trilinear between voxels of matter. `vertex` is
-    // set to that of the nearest one. None where there is no matter.
-    Rgb multiple(const Vec3& index, std::int32_t& vertex);
-    // ∑ I_0 I_s p of the beams at a point of that voxel: what they scatter along −`direction`, a ray of sight. Within
-    // the voxel they fall as matter of its extinction lets them, so that the mean stays the table's.
-    Rgb beams(const Vec3i& voxel, const Vec3& index, const Vec3& direction, const Vec3f& anisotropy,
-              const Rgb& extinction);
-
-   private:
-    const ShellLight& light_;
-    std::unique_ptr<ShellTextureReader> texture_;
-    int vertex_ = -1;  // found last
-    // The last light that was weighted by a phase function.
-    int phase_vertex_ = -1;
-    Vec3 phase_direction_ = Vec3::Zero();
-    Vec3f phase_anisotropy_ = Vec3f::Zero();
-    PreparedLight phase_light_;
-  };
-
  private:
   static constexpr int leaf_size = TwoLevelGrid<Vec3f>::leaf_size;
   // Values are written once, then their flag is set: 0 unknown, 1 being written, 2 there.
@@ -81,6 +56,42 @@ class ShellLight {
     std::array<std::atomic<std::uint8_t>, leaf_size> flags = {};
   };
 
+ public:
+  class Reader {
+   public:
+    explicit Reader(const ShellLight& light) : light_(light), texture_(light.texture_.reader()) {}
+
+    // Voxel (i, j, k) of the shell's grid; null where it holds no matter. What it points to holds until eight more are
+    // asked for.
+    const VoxelFluence* at(const Vec3i& voxel);
+    int nearest_vertex(const Vec3& point) { return vertex_ = light_.vertices_.nearest(point, vertex_); }
+    // φ of the multiple kind about a point, by its grid coordinates: trilinear between voxels of matter. `vertex` is
+    // set to that of the nearest one. None where there is no matter.
+    Rgb multiple(const Vec3& index, std::int32_t& vertex);
+    // ∑ I_0 I_s p of the beams at a point of that voxel: what they scatter along −`direction`, a ray of sight. Within
+    // the voxel they fall as matter of its extinction lets them, so that the mean stays the table's: s mm on along the
+    // ray it is e^{`growth` s} as much.
+    Rgb beams(const Vec3i& voxel, const Vec3& index, const Vec3& direction, const Vec3f& anisotropy,
+              const Rgb& extinction, Rgb& growth);
+
+   private:
+    const ShellLight& light_;
+    std::unique_ptr<ShellTextureReader> texture_;
+    int vertex_ = -1;  // found last
+    // The leaf that was read last.
+    Vec3i leaf_at_ = Vec3i::Constant(std::numeric_limits<int>::min());
+    int leaf_index_ = -1;
+    Leaf* leaf_ = nullptr;
+    std::array<VoxelFluence, 8> spare_;
+    std::size_t next_spare_ = 0;
+    // The last light that was weighted by a phase function.
+    int phase_vertex_ = -1;
+    Vec3 phase_direction_ = Vec3::Zero();
+    Vec3f phase_anisotropy_ = Vec3f::Zero();
+    PreparedLight phase_light_;
+  };
+
+ private:
   VoxelFluence work_out(int leaf_index, int offset, const Vec3i& voxel, ShellTextureReader& texture, int& vertex) const;
   Leaf& leaf(int leaf_index) const;
   struct VertexLight {

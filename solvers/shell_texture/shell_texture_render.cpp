@@ -21,11 +21,14 @@ namespace {
 constexpr float pi = std::numbers::pi_v<float>;
 constexpr double infinite = std::numeric_limits<double>::infinity();
 constexpr double faint = 4e-3;      // light that counts less for the picture than that is let go
-constexpr float opaque_depth = 8;   // e^{−8}: behind so much matter nothing is seen
-constexpr float step_depth = 0.5f;  // optical length of a step of the march
-constexpr int most_steps = 8;       // of one voxel
+constexpr float opaque_depth = 5;   // behind so much matter all is taken as it is there
 constexpr int most_crossings = 64;  // of surfaces without matter between them
 constexpr std::int32_t free_space_kind = 0;
+
+// ∫₀^length e^{−optical s / length} ds, `through` being e^{−optical}.
+Rgb within(const Rgb& optical, const Rgb& through, float length) {
+  return (optical.abs() > 1e-3f).select((1 - through) / (optical / length), length * (1 - optical / 2));
+}
 
 struct Sight {
   Vec3 point, direction;
@@ -161,27 +164,29 @@ class ShellPicture {
           scattering *= 1 - anisotropy.array();
           anisotropy.setZero();
         }
-        const int parts =
-            std::clamp(static_cast<int>(std::ceil(length * extinction.maxCoeff() / step_depth)), 1, most_steps);
-        const float part = length / static_cast<float>(parts);
-        const Rgb through = (-extinction * part).exp();
-        const Rgb weighed =
-            (extinction * part > 1e-4f).select((1 - through) / extinction.max(1e-20f), Rgb::Constant(part));
-        for (int p = 0; p < parts; ++p, ++steps) {
-          // In the middle of what the part scatters, rather than of its length.
-          const Rgb optical = extinction * part;
-          const float mean = optical.mean();
-          const float middle = mean > 1e-3f ? part * (1 / mean - std::exp(-mean) / (1 - std::exp(-mean))) : part / 2;
-          const Vec3 place =
-              start + (t + static_cast<double>(part * static_cast<float>(p) + middle)) * per_mm * sight.direction;
-          const Rgb source = reader.multiple(place, vertex) / (4 * pi) +
-                             reader.beams(voxel, place, sight.direction, anisotropy, true_extinction);
-          sum += left * scattering * weighed * source;
-          left *= through;
+        const Rgb optical = extinction * length, through = (-optical).exp();
+        const Rgb weighed = within(optical, through, length);
+        // Where the field is linear its value in the middle of what scatters, rather than of the way, is exact.
+        const float mean = optical.mean();
+        const float middle = mean > 1e-3f ? length * (1 / mean - std::exp(-mean) / (1 - std::exp(-mean))) : length / 2;
+        const Vec3 first = start + t * per_mm * sight.direction,
+                   place = first + static_cast<double>(middle) * per_mm * sight.direction;
+        Rgb growth;
+        const Rgb beams = reader.beams(voxel, first, sight.direction, anisotropy, true_extinction, growth);
+        const Rgb faded = (growth - extinction) * length;
+        const Rgb scattered = weighed * reader.multiple(place, vertex) / (4 * pi) +
+                              beams * within(-faded, faded.min(60.0f).exp(), length);
+        sum += left * scattering * scattered;
+        left *= through;
+        ++steps;
+        // What lies beyond shines as this does.
+        if (left.maxCoeff() < std::exp(-opaque_depth)) {
+          sum += (optical > 1e-4f).select(left * scattering * scattered / (1 - through).max(1e-6f), 0.0f);
+          left.setZero();
+          break;
         }
       }
       t = leave;
-      if (left.maxCoeff() < std::exp(-opaque_depth)) break;
       at[axis] += step[axis];
       next_side[axis] += interval[axis];
     }
