@@ -65,14 +65,13 @@ const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
   if (parts_.outside)
     for (const std::vector<DirectionWeight>& band : incident_.spread(vertex))
       made->spread.push_back(texture_.prepare(band));
-  Vec3 sum = Vec3::Zero();
-  double weights = 0;
+  double sum = 0, weights = 0;
   for (const DirectionWeight& one : made->light.list) {
     const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();
-    sum += weight * refracted_direction(one.direction);
+    sum += weight / refracted_direction(one.direction).z();
     weights += weight;
   }
-  if (weights > 0) made->towards = (sum / weights).cast<float>();
+  if (weights > 0) made->way = static_cast<float>(sum / weights);
   const std::lock_guard lock(mutex_);
   if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
   owned_lights_.push_back(std::move(made));
@@ -201,19 +200,14 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
                  .max(0);
   }
   if (!value.whole) return source;
-  // e^{−σ s} over its mean in the voxel, s the way to the voxel's middle along the beam.
+  // e^{−σ s} over its mean in the voxel, s the beams' way from the depth of the voxel's middle.
   const Vec3f from_middle = value.offset + (frame * (index - voxel.cast<double>())).cast<float>();
-  const auto edge = static_cast<float>(light_.shell_.frame.voxel);
-  const float ahead = from_middle.dot(light.towards);
-  growth = extinction * (frame * direction).cast<float>().dot(light.towards);
-  Rgb mean = Rgb::Ones();
-  for (int a = 0; a < 3; ++a) {
-    const Rgb half = extinction * (edge * light.towards[a] / 2), square = half.square();
-    mean *= (half.abs() > 2)
-                .select((half.abs().exp() - (-half.abs()).exp()) / (2 * half.abs().max(1e-6f)),
-                        1 + square / 6 * (1 + square / 20 * (1 + square / 42)));
-  }
-  return source * (extinction * (edge * ahead)).min(60.0f).exp() / mean;
+  growth = extinction * (light.way * (frame * direction).cast<float>().z());
+  const Rgb across = (extinction * (light.way * static_cast<float>(light_.shell_.frame.voxel))).min(60.0f);
+  const Rgb half = across / 2, square = half.square();
+  const Rgb mean = (half > 2).select((half.exp() - (-half).exp()) / (2 * half.max(1e-6f)),
+                                     1 + square / 6 * (1 + square / 20 * (1 + square / 42)));
+  return source * (across * from_middle.z()).min(60.0f).exp() / mean;
 }
 
 }  // namespace shellgrid

@@ -97,7 +97,7 @@ class ShellLight {
   struct VertexLight {
     PreparedLight light;
     std::vector<PreparedLight> spread;  // of each of the kernels' bands; none where the light is even
-    Vec3f towards = Vec3f::Zero();  // mean direction of the refracted beams, in the sample's frame: shorter, if several
+    float way = 0;  // of the refracted beams for each step down, in the mean: 1/cosθ below a smooth surface
   };
   const VertexLight& light_at(int vertex) const;
   // The table's direction within matter below a smooth surface.
