@@ -48,6 +48,27 @@ Vec3i read_size(const VdbArchive& archive) {
   return {static_cast<int>(size[0]), static_cast<int>(size[1]), static_cast<int>(size[2])};
 }
 
+struct SampleHead {
+  Vec3i size;
+  double voxel, ior;
+};
+
+SampleHead read_head(const VdbArchive& archive) {
+  const SampleHead head{read_size(archive), archive.number("voxel"), archive.number("ior")};
+  if (!(head.voxel > 0) || !(head.ior >= 1))
+    throw InputError(archive.path + ": the metadata 'voxel' or 'ior' is out of range");
+  return head;
+}
+
+// The grid that tells where a volume from elsewhere is.
+std::string main_grid(const VdbArchive& archive) {
+  if (const auto kind = archive.metadata.find("kind"); kind != archive.metadata.end() && kind->second == "shell volume")
+    throw InputError(archive.path + ": is a shell volume, grown over an object; expected a block of material");
+  for (const char* name : {"extinction", "density"})
+    if (has_grid<Vec3f>(archive, name) || has_grid<float>(archive, name)) return name;
+  throw InputError(archive.path + ": has neither a grid 'extinction' nor a grid 'density'");
+}
+
 template <class Visit>
 void for_each_index(const Vec3i& size, const Visit& visit) {
   std::size_t index = 0;
@@ -90,6 +111,16 @@ VdbArchive archive_sample(const MaterialSample& sample) {
   return archive;
 }
 
+void require_sample_grids(const VdbArchive& archive) {
+  if (!is_sample_archive(archive)) {
+    main_grid(archive);
+    return;
+  }
+  read_head(archive);
+  for (const char* name : {"extinction", "albedo", "anisotropy", "normal"}) archive.get<Vec3f>(name);
+  archive.get<std::int32_t>("kind");
+}
+
 bool is_sample_archive(const VdbArchive& archive) {
   const auto entry = archive.metadata.find("kind");
   return entry != archive.metadata.end() && entry->second == "material sample";
@@ -97,10 +128,8 @@ bool is_sample_archive(const VdbArchive& archive) {
 
 MaterialSample restore_sample(const VdbArchive& archive) {
   expect_kind(archive, "material sample", "sg-sample");
-  const Vec3i size = read_size(archive);
-  const double voxel = archive.number("voxel"), ior = archive.number("ior");
-  if (!(voxel > 0) || !(ior >= 1)) throw InputError(archive.path + ": the metadata 'voxel' or 'ior' is out of range");
-  MaterialSample sample = allocate_sample(size, voxel, ior);
+  const SampleHead head = read_head(archive);
+  MaterialSample sample = allocate_sample(head.size, head.voxel, head.ior);
   const auto &extinction = archive.get<Vec3f>("extinction"), &albedo = archive.get<Vec3f>("albedo");
   const auto &anisotropy = archive.get<Vec3f>("anisotropy"), &normal = archive.get<Vec3f>("normal");
   const auto& kind = archive.get<std::int32_t>("kind");
@@ -119,8 +148,7 @@ MaterialSample restore_sample(const VdbArchive& archive) {
 }
 
 MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& options) {
-  if (const auto kind = archive.metadata.find("kind"); kind != archive.metadata.end() && kind->second == "shell volume")
-    throw InputError(archive.path + ": is a shell volume, grown over an object; expected a block of material");
+  const std::string main = main_grid(archive);
   Vec3i lower = Vec3i::Constant(std::numeric_limits<int>::max()), upper = -lower;
   const auto include = [&](int i, int j, int k, const auto&) {
     lower = lower.cwiseMin(Vec3i(i, j, k)), upper = upper.cwiseMax(Vec3i(i, j, k));
@@ -138,9 +166,6 @@ MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& opti
     return nullptr;
   };
   const auto extinction = reader("extinction"), density = reader("density");
-  if (!extinction && !density)
-    throw InputError(archive.path + ": has neither a grid 'extinction' nor a grid 'density'");
-  const std::string main = extinction ? "extinction" : "density";
   if (has_grid<Vec3f>(archive, main))
     archive.get<Vec3f>(main).for_each_active(include);
   else

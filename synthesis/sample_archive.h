@@ -29,6 +29,10 @@ struct VolumeImport {
 // Throws: InputError where neither grid is there, or its box is empty or too large.
 MaterialSample import_sample(const VdbArchive& archive, const VolumeImport& options);
 
+// Refuses a volume of which neither of the two can make a sample, as far as its grids' names and its metadata tell:
+// those of read_vdb_outline suffice. Throws: InputError.
+void require_sample_grids(const VdbArchive& archive);
+
 // Maps of a texton set as grids one voxel thick: `feature_c appearance_l_c candidate_l_k texton color`. Without loss.
 VdbArchive archive_textons(const TextonSet& textons);
 // Throws: InputError where the archive is not what archive_textons wrote.

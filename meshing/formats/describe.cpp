@@ -87,6 +87,7 @@ Json describe_mesh(const std::string& path) {
       for (int k = 0; k < 3; ++k) edges.add((mesh.mesh.corner(f, k) - mesh.mesh.corner(f, (k + 1) % 3)).norm());
     result["edge_length_mm"] = edges.json();
   }
+  for (const auto& [word, text] : read_notes(path)) result["notes"][word] = text;
   for (const VertexProperty& property : mesh.properties) {
     Range range;
     for (float value : property.values) range.add(value);

@@ -9,10 +9,14 @@
 #include <cmath>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <string_view>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_readers.h"
 #include "meshing/formats/output_file.h"
+#include "meshing/formats/output_set.h"
 
 namespace shellgrid {
 namespace {
@@ -23,11 +27,14 @@ bool is_colour(const std::string& name) {
   return name == "red" || name == "green" || name == "blue" || name == "alpha";
 }
 
+constexpr const char* note_mark = "comment shellgrid ";
+
 std::string ply_header(std::size_t vertices, const std::vector<VertexProperty>& properties, std::size_t faces,
-                       bool has_faces) {
-  std::string header =
-      "ply\nformat binary_little_endian 1.0\ncomment shellgrid; lengths in millimetres\n" +
-      fmt::format("element vertex {}\nproperty double x\nproperty double y\nproperty double z\n", vertices);
+                       bool has_faces, const std::map<std::string, std::string>& notes = {}) {
+  std::string header = "ply\nformat binary_little_endian 1.0\ncomment shellgrid; lengths in millimetres\n";
+  for (const auto& [word, text] : notes)
+    if (!text.empty()) header += note_mark + word + " " + text + "\n";
+  header += fmt::format("element vertex {}\nproperty double x\nproperty double y\nproperty double z\n", vertices);
   for (const VertexProperty& property : properties) {
     if (property.name.empty() || property.values.size() != vertices ||
         std::any_of(property.name.begin(), property.name.end(), [](unsigned char c) { return !std::isgraph(c); }))
@@ -92,10 +99,10 @@ AttributedMesh read_points(const std::string& path) {
   return mesh;
 }
 
-void write_ply(const std::string& path, const AttributedMesh& mesh) {
+void write_ply(const std::string& path, const AttributedMesh& mesh, const std::map<std::string, std::string>& notes) {
   const auto vertices = static_cast<std::size_t>(mesh.mesh.vertex_count());
   const auto faces = static_cast<std::size_t>(mesh.mesh.face_count());
-  std::string bytes = ply_header(vertices, mesh.properties, faces, true);
+  std::string bytes = ply_header(vertices, mesh.properties, faces, true, notes);
   append_vertices(bytes, mesh.mesh.vertices, mesh.properties);
   const std::size_t start = bytes.size();
   bytes.resize(start + faces * (1 + 3 * sizeof(std::int32_t)));
@@ -105,6 +112,27 @@ void write_ply(const std::string& path, const AttributedMesh& mesh) {
     for (int k = 0; k < 3; ++k) put(to, mesh.mesh.faces(f, k));
   }
   write_text_atomically(path, bytes);
+}
+
+std::map<std::string, std::string> read_notes(const std::string& path) {
+  std::ifstream file(OutputSet::present_path(path), std::ios::binary);
+  if (!file) throw InputError(path + ": cannot be read");
+  std::map<std::string, std::string> notes;
+  constexpr std::size_t longest = 4096;
+  std::string head(longest, '\0');
+  file.read(head.data(), longest);
+  head.resize(static_cast<std::size_t>(file.gcount()));
+  if (!head.starts_with("ply")) return notes;
+  std::istringstream lines(head);
+  for (std::string line; std::getline(lines, line) && !line.starts_with("end_header");) {
+    if (!line.starts_with(note_mark)) continue;
+    std::istringstream words(line.substr(std::string_view(note_mark).size()));
+    std::string word, text;
+    words >> word >> std::ws;
+    std::getline(words, text);
+    notes[word] = text;
+  }
+  return notes;
 }
 
 void write_point_ply(const std::string& path, const VertexMatrix& points,

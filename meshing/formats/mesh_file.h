@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <map>
 #include <string>
 
 #include "meshing/core/triangle_mesh.h"
@@ -16,7 +17,11 @@ AttributedMesh read_points(const std::string& path);
 
 // Writes binary little-endian PLY: double x y z, float properties in their order, int triangles.
 // Properties named red, green, blue become uchar, clamped to 0…255. Deterministic bytes; written atomically.
-void write_ply(const std::string& path, const AttributedMesh& mesh);
+// notes: a word and a line of text each, comments "shellgrid WORD TEXT".
+void write_ply(const std::string& path, const AttributedMesh& mesh,
+               const std::map<std::string, std::string>& notes = {});
+// The notes of a PLY file; none of other files. Throws: InputError where it cannot be read.
+std::map<std::string, std::string> read_notes(const std::string& path);
 
 // Faceless points with properties, for views.
 void write_point_ply(const std::string& path, const VertexMatrix& points,

@@ -247,7 +247,7 @@ void require_memory_for(const std::string& path) {
   kept[0] = 0;
 }
 
-VdbArchive parse(const std::string& path) {
+VdbArchive parse(const std::string& path, bool outline) {
   require_memory_for(path);
   VdbArchive archive;
   try {
@@ -258,7 +258,7 @@ VdbArchive parse(const std::string& path) {
       openvdb::io::File file(path);
       file.open(/*delayLoad=*/false);
       metadata = file.getMetadata();
-      grids = file.getGrids();
+      grids = outline ? file.readAllGridMetadata() : file.getGrids();
     }
     for (auto it = metadata->beginMeta(); it != metadata->endMeta(); ++it)
       archive.metadata[it->first] = it->second ? it->second->str() : std::string();
@@ -335,19 +335,27 @@ void VdbArchive::set_numbers(const std::string& key, const std::vector<double>& 
   metadata[key] = fmt::format("{}", fmt::join(values, " "));
 }
 
-VdbArchive read_vdb(const std::string& path) {
+namespace {
+
+VdbArchive read_checked(const std::string& path, bool outline) {
   initialize_library();
   {
     const std::string bytes = read_text(path);
     if (bytes.empty()) throw InputError(path + ": the file is empty");
     if (bytes.size() < 8 || bytes.compare(0, 8, std::string(" BDV\0\0\0\0", 8)) != 0)
       throw InputError(path + ": not an OpenVDB file");
-    if (!has_valid_seal(bytes)) rehearse_reading(path, "OpenVDB", [&] { new VdbArchive(parse(path)); });
+    if (!has_valid_seal(bytes)) rehearse_reading(path, "OpenVDB", [&] { new VdbArchive(parse(path, outline)); });
   }
-  VdbArchive archive = parse(path);
+  VdbArchive archive = parse(path, outline);
   archive.path = path;
   return archive;
 }
+
+}  // namespace
+
+VdbArchive read_vdb(const std::string& path) { return read_checked(path, false); }
+VdbArchive read_vdb_outline(const std::string& path) { return read_checked(path, true); }
+bool is_as_written(const std::string& path) { return has_valid_seal(read_text(path)); }
 
 void write_vdb(const std::string& path, const VdbArchive& archive) {
   initialize_library();
@@ -409,8 +417,9 @@ Rgb colour_of(const VdbArchive& archive, const std::string& key) {
 
 }  // namespace
 
-ShellVolume read_shell_volume(const std::string& path) {
+ShellVolume read_shell_volume(const std::string& path, std::map<std::string, std::string>* notes) {
   const VdbArchive archive = read_vdb(path);
+  if (notes) *notes = archive.metadata;
   ShellVolume shell;
   shell.frame = archive.frame;
   shell.texture_coordinate = archive.get<Vec3f>("texture_coordinate");
@@ -434,8 +443,10 @@ ShellVolume read_shell_volume(const std::string& path) {
   return shell;
 }
 
-void write_shell_volume(const std::string& path, const ShellVolume& shell) {
+void write_shell_volume(const std::string& path, const ShellVolume& shell,
+                        const std::map<std::string, std::string>& notes) {
   VdbArchive archive;
+  archive.metadata = notes;
   archive.frame = shell.frame;
   archive.grids = {{"texture_coordinate", shell.texture_coordinate},
                    {"extinction", shell.extinction},

@@ -42,6 +42,10 @@ struct VdbArchive {
 // Throws: InputError for a missing, empty, truncated or corrupt file, one that is not OpenVDB, a
 // transform that is not uniform scale and translation.
 VdbArchive read_vdb(const std::string& path);
+// The same without the grids' samples: their names, types, frame, and the metadata.
+VdbArchive read_vdb_outline(const std::string& path);
+// Whether the file is as write_vdb left it, not saved anew by another program since. Throws: InputError.
+bool is_as_written(const std::string& path);
 
 // Writes an OpenVDB file whose leaves are the grids' leaves. Same grids, same bytes: the file's id is
 // a hash of its content. Written atomically.
@@ -49,8 +53,10 @@ void write_vdb(const std::string& path, const VdbArchive& archive);
 
 DistanceField read_distance_field(const std::string& path);
 void write_distance_field(const std::string& path, const DistanceField& field);
-ShellVolume read_shell_volume(const std::string& path);
-void write_shell_volume(const std::string& path, const ShellVolume& shell);
+// notes: what the file's metadata say beside the shell.
+ShellVolume read_shell_volume(const std::string& path, std::map<std::string, std::string>* notes = nullptr);
+void write_shell_volume(const std::string& path, const ShellVolume& shell,
+                        const std::map<std::string, std::string>& notes = {});
 
 // The isosurface of a float grid as a closed triangle mesh, by OpenVDB's volumeToMesh.
 TriangleMesh extract_isosurface(const TwoLevelGrid<float>& grid, const GridFrame& frame, double isovalue);

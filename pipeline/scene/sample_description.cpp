@@ -179,12 +179,16 @@ MaterialSample load_sample(const std::string& path, const SampleOverrides& overr
 }
 
 std::vector<std::string> check_sample_description(const std::string& path, const SampleOverrides& overrides) {
-  if (is_volume(path)) return {};
+  if (is_volume(path)) {
+    require_sample_grids(read_vdb_outline(path));
+    return {};
+  }
   const SampleRecipe recipe = read_recipe(path, overrides);
   std::error_code error;
   for (const std::string& file : recipe.files)
     if (!std::filesystem::is_regular_file(file, error))
       throw InputError(path + ": file: " + file + ": " + std::strerror(ENOENT));
+  if (recipe.check) recipe.check();
   return recipe.files;
 }
 

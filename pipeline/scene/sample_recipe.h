@@ -31,6 +31,7 @@ struct MadeSample {
 struct SampleRecipe {
   SampleExtent extent;
   std::vector<std::string> files;   // that `make` reads
+  std::function<void()> check;      // of the files' heads alone, where there is something to check; throws InputError
   std::vector<Material> materials;  // of which the sample is made; empty where files tell
   // With another thickness than the recipe's the same material, deeper.
   std::function<MadeSample(const SampleExtent&)> make;

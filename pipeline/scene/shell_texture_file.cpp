@@ -5,14 +5,21 @@
 
 #include "meshing/formats/number_archive.h"
 #include "meshing/formats/vdb_file.h"
+#include "pipeline/scene/origin.h"
 #include "solvers/shell_texture/shell_texture_archive.h"
 #include "solvers/shell_texture/shell_texture_codec.h"
 
 namespace shellgrid {
 
-std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path) {
-  if (std::filesystem::path(path).extension() == ".stf") return restore_compressed(read_number_archive(path), path);
-  return look_up_as_it_is(restore_shell_texture(read_vdb(path)));
+std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path, std::string* sample) {
+  if (std::filesystem::path(path).extension() == ".stf") {
+    const NumberArchive archive = read_number_archive(path);
+    if (sample) *sample = archive.fingerprint;
+    return restore_compressed(archive, path);
+  }
+  const VdbArchive archive = read_vdb(path);
+  if (sample) *sample = note_of(archive.metadata, samples_note);
+  return look_up_as_it_is(restore_shell_texture(archive));
 }
 
 IrradianceCorrection irradiance_correction(const std::string& name) {

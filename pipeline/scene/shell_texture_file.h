@@ -9,8 +9,8 @@
 namespace shellgrid {
 
 // A shell texture function as sg-irradiance writes it, plain (.vdb) or compressed (.stf), to be looked up.
-// Throws: InputError.
-std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path);
+// sample: the hash of its sample's file, as in origin.h. Throws: InputError.
+std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path, std::string* sample = nullptr);
 
 // The choices of `--correction` of sg-core and sg-render.
 inline const std::vector<std::string> irradiance_correction_names = {"kernels", "one", "none"};

@@ -95,6 +95,7 @@ void describe_solid(DescriptionSection& root, SampleRecipe& recipe) {
     text.sample = root.file(root.text("sample", ""));
     if (std::filesystem::path(text.sample).extension() != ".vdb") root.fail("sample", "expected a volume (.vdb)");
     recipe.files = {text.sample};
+    recipe.check = [file = text.sample] { require_sample_grids(read_vdb_outline(file)); };
   } else {
     DescriptionSection section = root.section("views");
     std::string first, side;

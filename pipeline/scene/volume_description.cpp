@@ -162,6 +162,8 @@ void describe_classified(DescriptionSection& root, SampleRecipe& recipe) {
   options.trace_borders = root.word("borders", "traced", {"traced", "by-value"}) == "traced";
   options.surface = root.number("surface", options.surface, 1e-3, 1);
   recipe.files = source.files;
+  if (!source.images && !source.raw && std::filesystem::path(source.files.front()).extension() == ".vdb")
+    recipe.check = [source] { read_vdb_outline(source.files.front()).get<float>(source.grid); };
   recipe.make = [source, options](const SampleExtent& extent) {
     ClassificationOptions now = options;
     if (extent.voxel_given) now.voxel = extent.voxel;
@@ -201,6 +203,7 @@ void describe_volume(DescriptionSection& root, SampleRecipe& recipe) {
   if (std::filesystem::path(file).extension() != ".vdb")
     root.fail("classes", "is missing: what the values of " + name + " mean");
   recipe.files = {file};
+  recipe.check = [file] { require_sample_grids(read_vdb_outline(file)); };
   const bool rescale = recipe.extent.voxel_given;
   recipe.make = [import, file, rescale](const SampleExtent& extent) {
     MadeSample made;

@@ -12,6 +12,7 @@
 #include "meshing/formats/vtkhdf_file.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
+#include "pipeline/scene/origin.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_checks.h"
 #include "pipeline/scene/shell_texture_file.h"
@@ -156,9 +157,13 @@ int main(int argc, char** argv) {
     program.refuse_unless(fluence_path.empty(), "a core by the dipole, without --fluence",
                           {"--dipole", "--tolerance", "--bounces", "--brute-force"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
-    const ShellVolume shell = read_shell_volume(shell_path);
+    std::map<std::string, std::string> shell_notes;
+    const ShellVolume shell = read_shell_volume(shell_path, &shell_notes);
     require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress());
-    const auto texture = open_shell_texture(texture_path);
+    std::string sample;
+    const auto texture = open_shell_texture(texture_path, &sample);
+    require_same_samples(sample, texture_path, note_of(read_notes(mesh_path), samples_note), mesh_path);
+    require_same_samples(sample, texture_path, note_of(shell_notes, samples_note), shell_path);
     if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
       throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", texture_path,
                                    texture->voxel(), shell_path, shell.frame.voxel));
@@ -187,7 +192,9 @@ int main(int argc, char** argv) {
     run.start_timer("write");
     TriangleMesh shape = surface.mesh;
     for (int v = 0; v < shape.vertex_count(); ++v) shape.vertices.row(v) = core.points[v].cast<double>().transpose();
-    write_ply(run.output(), exitance_mesh(shape, shine.exitance, shine.irradiance));
+    write_ply(
+        run.output(), exitance_mesh(shape, shine.exitance, shine.irradiance),
+        {{samples_note, sample}, {shell_note, hash_files({shell_path})}, {lights_note, hash_lights(scene.lights)}});
     Eigen::Array3d entering = Eigen::Array3d::Zero();
     for (const Rgb& one : core.power) entering += one.cast<double>();
     run.results() = shine.results;

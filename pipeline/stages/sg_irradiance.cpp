@@ -14,6 +14,7 @@
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/cli/view_path.h"
 #include "pipeline/scene/irradiance_state_file.h"
+#include "pipeline/scene/origin.h"
 #include "solvers/shell_texture/irradiance_tracing.h"
 #include "solvers/shell_texture/shell_texture_archive.h"
 #include "solvers/shell_texture/shell_texture_codec.h"
@@ -75,9 +76,12 @@ ShellTexture follow(const BaseVolume& volume, IrradianceOptions options, const s
 }
 
 // As a volume, or compressed where the output is an .stf.
-void write(const ShellTexture& texture, const std::string& codec, const CodecGoal& goal, StageRun& run) {
+void write(const ShellTexture& texture, const std::string& sample, const std::string& codec, const CodecGoal& goal,
+           StageRun& run) {
   if (codec == "none") {
-    write_vdb(run.output(), archive_shell_texture(texture));
+    VdbArchive archive = archive_shell_texture(texture);
+    archive.metadata[samples_note] = sample;
+    write_vdb(run.output(), archive);
     return;
   }
   CodecReport report;
@@ -85,7 +89,9 @@ void write(const ShellTexture& texture, const std::string& codec, const CodecGoa
       texture,
       codec == "vector-quantisation" ? ShellTextureCodec::vector_quantisation : ShellTextureCodec::principal_components,
       goal, &report);
-  write_number_archive(run.output(), compressed->archive());
+  NumberArchive archive = compressed->archive();
+  archive.fingerprint = sample;
+  write_number_archive(run.output(), archive);
   run.results()["compression"] = {
       {"bytes", report.bytes}, {"ratio", report.ratio}, {"psnr", report.psnr}, {"words", report.words}};
   if (goal.ratio > 0 && report.ratio < 0.98 * goal.ratio)
@@ -188,7 +194,7 @@ int main(int argc, char** argv) {
     else if (options.target_error > 0 && report.median_error > options.target_error)
       run.progress().warn("the error asked for was not reached; try more --most-paths");
     run.start_timer("write");
-    write(texture, codec, goal, run);
+    write(texture, hash_files({sample_path}), codec, goal, run);
     const std::string view = view_path(run.output());
     write_ply(view, view_shell_texture(texture));
     run.note_output(view);

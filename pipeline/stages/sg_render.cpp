@@ -12,6 +12,7 @@
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/record.h"
 #include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/origin.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_checks.h"
 #include "pipeline/scene/shell_texture_file.h"
@@ -67,14 +68,18 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   const TexturedMesh surface = detach_texture(surface_file, surface_path);
   if (!surface.sample.empty())
     throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
-  const ShellVolume shell = read_shell_volume(files.shell);
+  std::map<std::string, std::string> shell_notes;
+  const ShellVolume shell = read_shell_volume(files.shell, &shell_notes);
   require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress());
   if (std::abs(shell.ior - scene.object->ior) > 1e-6)
     run.progress().warn(
         fmt::format("{} is of refractive index {:g}, and so is its sample's light; the scene's {:g} is "
                     "that of the surface alone",
                     files.shell, shell.ior, scene.object->ior));
-  const auto texture = naming(files.texture, [&] { return open_shell_texture(files.texture); });
+  std::string sample;
+  const auto texture = naming(files.texture, [&] { return open_shell_texture(files.texture, &sample); });
+  require_same_samples(sample, files.texture, note_of(read_notes(surface_path), samples_note), surface_path);
+  require_same_samples(sample, files.texture, note_of(shell_notes, samples_note), files.shell);
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
     throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", files.texture,
                                  texture->voxel(), files.shell, shell.frame.voxel));
@@ -82,6 +87,7 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   if (!files.core.empty()) {
     const AttributedMesh core_mesh = read_mesh(files.core);
     core = exitance_of(files.core, core_mesh, "sg-core");
+    require_core_of(files.core, sample, files.texture, files.shell, scene);
     if (core_mesh.mesh.vertex_count() != surface.mesh.vertex_count())
       throw InputError(fmt::format("{}: {} vertices, but {} has {}", files.core, core_mesh.mesh.vertex_count(),
                                    surface_path, surface.mesh.vertex_count()));

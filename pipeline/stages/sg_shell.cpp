@@ -12,6 +12,7 @@
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/cli/view_path.h"
+#include "pipeline/scene/origin.h"
 #include "synthesis/sample_archive.h"
 #include "synthesis/sample_check.h"
 #include "synthesis/shell_core.h"
@@ -154,6 +155,7 @@ int main(int argc, char** argv) {
     core.solid.seed = run.seed();
     run.start_timer("read");
     const TexturedMesh mesh = detach_texture(read_mesh(mesh_path), mesh_path);
+    require_made_from(note_of(read_notes(mesh_path), samples_note), mesh_path, sample_paths);
     const DistanceField distance = read_distance_field(distance_path);
     std::vector<MaterialSample> samples;
     for (const std::string& path : sample_paths) samples.push_back(restore_sample(read_vdb(path)));
@@ -192,7 +194,7 @@ int main(int argc, char** argv) {
                       "sample's relief is deep; make the relief lower or the object larger",
                       100 * bare));
     run.start_timer("write");
-    write_shell_volume(run.output(), shell);
+    write_shell_volume(run.output(), shell, {{samples_note, hash_files(sample_paths)}});
     const std::string view = view_path(run.output());
     write_ply(view, view_shell(mesh, shell));
     run.note_output(view);

@@ -8,6 +8,7 @@
 #include "meshing/formats/vdb_file.h"
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
+#include "pipeline/scene/origin.h"
 #include "synthesis/sample_archive.h"
 #include "synthesis/surface_paint.h"
 #include "synthesis/synthesis_quality.h"
@@ -101,7 +102,8 @@ int main(int argc, char** argv) {
     run.start_timer("read");
     const AttributedMesh surface = read_mesh(surface_path);
     warn_of_loose_triangles(surface.mesh, surface_path, run.progress());
-    TextonSet textons = restore_textons(read_vdb(textons_path));
+    const VdbArchive archive = read_vdb(textons_path);
+    TextonSet textons = restore_textons(archive);
     if (voxel > 0) textons.voxel = voxel;
     options.seed = run.seed();
     PaintFit fit;
@@ -120,7 +122,8 @@ int main(int argc, char** argv) {
     run.start_timer("judge");
     const SynthesisQuality quality = measure_synthesis(texture, textons);
     run.start_timer("write");
-    write_ply(run.output(), attach_texture(texture, textons));
+    write_ply(run.output(), attach_texture(texture, textons),
+              {{samples_note, note_of(archive.metadata, samples_note)}});
     nlohmann::json levels, singularities = nlohmann::json::array();
     double positive = 0, negative = 0;
     for (const Singularity& s : texture.singularities) {

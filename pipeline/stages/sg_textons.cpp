@@ -5,6 +5,7 @@
 #include "meshing/formats/vdb_file.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/cli/view_path.h"
+#include "pipeline/scene/origin.h"
 #include "synthesis/sample_archive.h"
 #include "synthesis/textured_mesh.h"
 
@@ -44,7 +45,9 @@ int main(int argc, char** argv) {
     TextonStatistics statistics;
     const TextonSet textons = make_textons(all, options, &statistics, run.progress());
     run.start_timer("write");
-    write_vdb(run.output(), archive_textons(textons));
+    VdbArchive archive = archive_textons(textons);
+    archive.metadata[samples_note] = hash_files(sample_paths);
+    write_vdb(run.output(), archive);
     const std::string view = view_path(run.output());
     write_ply(view, view_textons(textons));
     run.note_output(view);

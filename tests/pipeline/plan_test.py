@@ -544,13 +544,50 @@ class PlanTest(unittest.TestCase):
         self.assertRegex(self.plan("--why").stdout, "prepare .* its triangles are kept, because")
         self.assertIn("--size 20 --no-retile --longest-edge 0.2 ", self.text("Makefile"))
 
+    def put_volume(self, name, scattering):
+        """A base volume of one matter in the scenes' folder."""
+        matter = {"absorption": 0.01, "scattering": scattering}
+        self.put("grown.json", json.dumps({"type": "spots", "materials": {"body": matter, "spot": matter}}))
+        done = subprocess.run([os.path.join(BIN, "sg-sample"), os.path.join(self.scenes, "grown.json"), "-o",
+                               os.path.join(self.scenes, name), "--voxel", "1"], capture_output=True, text=True)
+        self.assertEqual(done.returncode, 0, done.stderr)
+
     def test_a_volume_that_the_sample_names_is_watched(self):
-        self.put("grown.vdb", "a volume")
+        self.put_volume("grown.vdb", 1)
         self.put("marble.json", '{"type": "volume", "file": "grown.vdb"}')
         self.remake()
-        self.put("grown.vdb", "another volume")
+        self.put_volume("grown.vdb", 2)
         self.assertEqual(self.make()[:1], ["sample"])
         self.assertEqual(self.make(), [])
+
+    def test_volumes_that_make_no_sample_are_refused_when_planning(self):
+        self.put_volume("grown.vdb", 1)
+        with open(os.path.join(self.scenes, "grown.vdb"), "rb") as file:
+            whole = file.read()
+        descriptions = ('{"type": "volume", "file": "grown.vdb"}', '{"type": "solid", "sample": "grown.vdb"}')
+        for content, complaint in ((b"a volume", "not an OpenVDB file"), (whole[:len(whole) // 3], "OpenVDB"),
+                                   (whole.replace(b"extinction", b"extonction"), "'extinction'"),
+                                   (whole.replace(b"material sample", b"material simple").replace(
+                                       b"extinction", b"extonction"), "neither a grid 'extinction'")):
+            with open(os.path.join(self.scenes, "grown.vdb"), "wb") as file:
+                file.write(content)
+            for sample in ("grown.vdb", *descriptions):
+                if sample != "grown.vdb":
+                    self.put("marble.json", sample)
+                self.content["material"]["shell"]["sample"] = sample if sample == "grown.vdb" else "marble.json"
+                self.put_scene()
+                done = self.plan()
+                self.assertEqual(done.returncode, 3, (content[:20], sample, done.stderr))
+                self.assertEqual(len(done.stderr.strip().splitlines()), 1, done.stderr)
+                self.assertIn("grown.vdb", done.stderr)
+                self.assertIn(complaint, done.stderr)
+        # Of classes a float grid.
+        with open(os.path.join(self.scenes, "grown.vdb"), "wb") as file:
+            file.write(whole)
+        self.put("marble.json", '{"type": "volume", "file": "grown.vdb", "classes": [{"value": 1, "material": {"named": "skin1"}}]}')
+        done = self.plan()
+        self.assertEqual(done.returncode, 3)
+        self.assertIn("no grid 'density' of type float", done.stderr)
 
     def test_values_in_a_scene_key_s_range_are_in_the_stages_ranges(self):
         """What planning accepts is no usage error of a stage."""

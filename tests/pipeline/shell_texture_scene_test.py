@@ -4,6 +4,7 @@ the light add up, another light or view recomputes no more than it must."""
 import json
 import os
 import re
+import shutil
 import subprocess
 import unittest
 
@@ -91,6 +92,7 @@ class ShellTextureSceneTest(WorkplaceTest):
                 pictures.append((a.read(), b.read()))
         self.assertEqual(*pictures)
         self.refuses_files_that_do_not_fit(files, core_path)
+        self.refuses_files_of_another_making(files, core_path)
 
     def test_the_core_may_be_a_polygrid_s_and_uneven_light_is_corrected(self):
         self.content["method"].update(core="polygrid", nodes=2e4)
@@ -143,6 +145,55 @@ class ShellTextureSceneTest(WorkplaceTest):
             self.assertIn(complaint, done.stderr)
             self.assertEqual(len(done.stderr.strip().split("\n")), 1, done.stderr)
             self.assertFalse(os.path.exists(out))
+
+    def refuses_files_of_another_making(self, files, core):
+        """A sample of the same voxels, its function, plain and compressed; a core of other lights or another shell."""
+        synthesized, shell, stf = files
+        scene_path, core_scene = self.at("out", "plan", "render.json"), self.at("out", "plan", "core.json")
+        with open(self.at("white.json")) as file:
+            other = json.load(file)
+        other["layers"][0]["material"]["scattering"] = [1.7, 1.6, 1.6]
+        write_json(self.at("other.json"), other)
+        self.ok("sample", self.at("other.json"), "-o", self.at("other.vdb"))
+        for name in ("other.stf.vdb", "other.stf"):
+            self.ok("irradiance", self.at("other.vdb"), "-o", self.at(name), "--paths", 1)
+        self.ok("shell", synthesized, self.at("out", "distance.vdb"), self.at("out", "sample.vdb"), "-o",
+                self.at("thin.vdb"), "--thickness", 2.5)
+        with open(scene_path) as file:
+            lit = json.load(file)
+        lit["lights"] = [dict(SUN, irradiance=[2, 2, 2.5])]
+        write_json(self.at("lit.json"), lit)
+        render = ["render", scene_path, synthesized]
+        for complaint, arguments in (
+                ("another sample", ["core", core_scene, synthesized, shell, self.at("other.stf")]),
+                ("another sample", [*render, "--stf", self.at("other.stf.vdb"), "--shell", shell]),
+                ("another sample", [*render, "--stf", self.at("other.stf"), "--shell", shell]),
+                ("another shell", [*render, "--stf", stf, "--shell", self.at("thin.vdb"), "--core", core]),
+                ("other lights", ["render", self.at("lit.json"), *render[2:], "--stf", stf, "--shell", shell, "--core",
+                                  core])):
+            out = self.at("refused.exr" if arguments[0] == "render" else "refused.ply")
+            done = run(*arguments, "-o", out)
+            self.assertEqual(done.returncode, 3, (arguments, done.stderr))
+            self.assertIn(complaint, done.stderr)
+            self.assertEqual(len(done.stderr.strip().split("\n")), 1, done.stderr)
+            self.assertFalse(os.path.exists(out))
+        self.ok("render", self.at("lit.json"), *render[2:], "-o", self.at("lit.exr"), "--stf", stf, "--shell", shell)
+        # Taken: the sample under another name, compressed; a shell and a core that other programs saved.
+        shutil.copy(self.at("out", "sample.vdb"), self.at("elsewhere.vdb"))
+        self.ok("irradiance", self.at("elsewhere.vdb"), "-o", self.at("same.stf"), "--paths", 1)
+        with open(shell, "rb") as file:
+            whole = file.read()
+        with open(self.at("resaved.vdb"), "wb") as file:
+            file.write(whole[:21] + b"01234567-89ab-4cde-8f01-23456789abcd" + whole[57:])
+        with open(core, "rb") as file:
+            whole = file.read()
+        with open(self.at("silent.ply"), "wb") as file:
+            file.write(re.sub(b"comment shellgrid [^\n]*\n", b"", whole))
+        self.assertEqual(len(re.findall(b"comment shellgrid \\w+ [^\n]*\n", whole)), 3)
+        taken = ["--stf", self.at("same.stf"), "-o", self.at("taken.exr")]
+        self.ok(*render, *taken, "--shell", shell, "--core", core)
+        self.ok(*render, *taken, "--shell", self.at("resaved.vdb"), "--core", core)
+        self.ok("render", self.at("lit.json"), *render[2:], *taken, "--shell", shell, "--core", self.at("silent.ply"))
 
     def test_scenes_that_the_method_cannot_do_are_refused_and_doubtful_ones_told(self):
         def planned(**changes):

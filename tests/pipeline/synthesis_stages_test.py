@@ -2,6 +2,7 @@
 """sg-sample, sg-textons, sg-synthesize and sg-shell as programs: good runs, bad inputs, same bytes."""
 import math
 import os
+import re
 import shutil
 import unittest
 
@@ -60,6 +61,14 @@ class Chain(unittest.TestCase):
     @classmethod
     def at(cls, name):
         return os.path.join(cls.folder, name)
+
+    def without_notes(self, path):
+        """synthesized.ply as it would be from elsewhere."""
+        whole = read_bytes(self.at("synthesized.ply"))
+        with open(path, "wb") as file:
+            file.write(re.sub(b"comment shellgrid sample[^\n]*\n", b"", whole))
+        self.assertLess(os.path.getsize(path), len(whole))
+        return path
 
     def refused(self, done, code, *parts):
         self.assertEqual(done.returncode, code, done.stderr)
@@ -177,18 +186,46 @@ class Chain(unittest.TestCase):
             self.assertTrue(((vertices["sample"] == 1) == (vertices["z"] > 0))[far].all())
             self.assertAlmostEqual(sum(record(out("s.ply"))["results"]["sample_shares"]), 1, delta=1e-6)
             inputs = ["shell", out("s.ply"), self.at("distance.vdb"), self.at("sample.vdb")]
-            self.refused(run(*inputs, "-o", out("shell.vdb"), "--thickness", 2), 3, "carries 2 samples")
+            self.refused(run(*inputs, "-o", out("shell.vdb"), "--thickness", 2), 3, "s.ply: was made from 2 samples; 1 given")
             done = run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2)
             self.assertEqual(done.returncode, 0, done.stderr)
             self.assertEqual(record(out("shell.vdb"))["results"]["voxels"], record(self.at("shell.vdb"))["results"]["voxels"])
             self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--core", "solid"), 2, "--core-sample")
-            done = run(*inputs, out("plain.vdb"), out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2)
-            self.assertIn("no vertex carries sample 2, ", done.stderr)
+            # Samples of one size tell themselves apart, also where the files have gone elsewhere since.
+            os.rename(out("s.ply"), out("moved.ply"))
+            inputs[1] = out("moved.ply")
+            shutil.copy(self.at("sample.vdb"), out("copy.vdb"))
+            wrong = [*inputs[:3], out("plain.vdb"), out("copy.vdb"), "-o", out("wrong.vdb"), "--thickness", 2]
+            self.refused(run(*wrong), 3, "moved.ply: was made from these samples in another order: %s %s" %
+                         (out("copy.vdb"), out("plain.vdb")))
+            self.refused(run(*wrong[:3], out("plain.vdb"), out("plain.vdb"), *wrong[5:]), 3, "from 2 samples, not these")
+            write_json(out("other.json"), description(seed=9))
+            self.assertEqual(run("sample", out("other.json"), "-o", out("other.vdb")).returncode, 0)
+            self.refused(run(*inputs, out("other.vdb"), "-o", out("wrong.vdb"), "--thickness", 2), 3, "not from", "other.vdb")
+            self.assertFalse(os.path.exists(out("wrong.vdb")))
+            done = run(*wrong[:3], out("copy.vdb"), out("plain.vdb"), "-o", out("again.vdb"), "--thickness", 2)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            inputs[1] = self.at("synthesized.ply")
+            self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2), 3, "another sample")
+            # A sample that another program saved anew, with an id of its own, is not taken for another.
+            with open(out("copy.vdb"), "rb") as a, open(out("resaved.vdb"), "wb") as b:
+                whole = a.read()
+                b.write(whole[:21] + b"01234567-89ab-4cde-8f01-23456789abcd" + whole[57:])
+            done = run(*wrong[:3], out("resaved.vdb"), out("plain.vdb"), "-o", out("again.vdb"), "--thickness", 2)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            # As of a file that tells nothing, from elsewhere.
+            inputs[1] = self.without_notes(out("silent.ply"))
+            self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2), 3, "carries one sample")
+            done = run(*inputs[:3], out("other.vdb"), "-o", out("silent.vdb"), "--thickness", 2)
+            self.assertEqual(done.returncode, 0, done.stderr)
             self.assertEqual(run("sample", out("plain.vdb"), "-o", out("dense.vdb"), "--ior", 1.6).returncode, 0)
+            self.assertEqual(run("textons", self.at("sample.vdb"), out("dense.vdb"), "-o", out("dense.textons.vdb"),
+                                 "--textons", 30).returncode, 0)
+            self.assertEqual(run("synthesize", self.at("surface.ply"), out("dense.textons.vdb"), out("painted.ply"), "-o",
+                                 out("dense.ply")).returncode, 0)
+            inputs[1] = out("dense.ply")
             done = run(*inputs, out("dense.vdb"), "-o", out("shell.vdb"), "--thickness", 2)
             self.assertIn("dense.vdb was made for the refractive index 1.6; that of ", done.stderr)
-            inputs[1] = self.at("synthesized.ply")
-            self.refused(run(*inputs, out("plain.vdb"), "-o", out("shell.vdb"), "--thickness", 2), 3, "carries one sample")
             # Painted on another shape, or where there is no room.
             def paint(name, mesh, wants):
                 points, faces = mesh
@@ -207,6 +244,9 @@ class Chain(unittest.TestCase):
             self.assertRegex(done.stderr, r"1 painted area is, [\d.]+ mm² in all, narrower than 8 texels \(4 mm\): \d+ % of its")
             paint("wrong.ply", icosphere(3, 6.0), lambda p: 1)
             self.assertIn("sample 0 is painted nowhere", run(*grow).stderr)
+            done = run("shell", out("s2.ply"), self.at("distance.vdb"), self.at("sample.vdb"), out("plain.vdb"), "-o",
+                       out("shell.vdb"), "--thickness", 2)
+            self.assertIn("no vertex carries sample 0, ", done.stderr)
             # A tenth larger and off the middle: laid onto the surface, not taken as it lies.
             paint("wrong.ply", icosphere(3, 6.6, (0.5, 0, 0.5)), lambda p: p[2] > 0.5)
             self.assertEqual(run(*grow).stderr, "")
@@ -392,10 +432,13 @@ class Chain(unittest.TestCase):
                              out + ".vdb", "--thickness", 1e-5), 3, "no grid point")
             write_json(out + ".json", description(size=[32, 40]))
             self.assertEqual(run("sample", out + ".json", "-o", out + ".vdb").returncode, 0)
+            silent = self.without_notes(out + ".silent.ply")
             self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), out + ".vdb", "-o",
+                             out + ".shell.vdb", "--thickness", 2), 3, "was made from another sample, not from " + out + ".vdb")
+            self.refused(run("shell", silent, self.at("distance.vdb"), out + ".vdb", "-o",
                              out + ".shell.vdb", "--thickness", 2), 3, "32 x 40", "32 x 32")
             run("sample", self.at("sample.json"), "-o", out + ".vdb", "--voxel", 0.4)
-            self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), out + ".vdb", "-o",
+            self.refused(run("shell", silent, self.at("distance.vdb"), out + ".vdb", "-o",
                              out + ".shell.vdb", "--thickness", 2), 3, "sg-distance --voxel 0.4")
             self.refused(run("shell", self.at("synthesized.ply"), self.at("distance.vdb"), self.at("sample.vdb"), "-o",
                              out + ".shell.vdb", "--thickness", 2, "--core-absorption", "0.1,0.1,0.1"), 2,
