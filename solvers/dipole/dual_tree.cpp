@@ -97,7 +97,8 @@ struct DualTree::Impl {
     parallel_for(
         tasks_.size(), [&](std::size_t t) { evaluate(t); }, 1);
     std::vector<Rgb> result(values_.size());
-    for (std::size_t i = 0; i < values_.size(); ++i) result[target_tree_.order()[i]] = to_rgb(values_[i]);
+    // Beyond the dynamic range an expansion may fall below 0, where no sum is.
+    for (std::size_t i = 0; i < values_.size(); ++i) result[target_tree_.order()[i]] = to_rgb(values_[i]).max(0);
     gather(statistics);
     return result;
   }

@@ -61,6 +61,17 @@ double greatest_error(const std::vector<Rgb>& sums, const std::vector<Rgb>& exac
   return error;
 }
 
+// Far beyond the dynamic range of the sums too.
+TEST(DualTree, SumsAreNeverNegative) {
+  const RadialProfile profile = dipole_profile(channels_of(0.1));
+  for (const Cloud kind : {Cloud::sphere, Cloud::plane, Cloud::line}) {
+    const std::vector<Vec3f> points = cloud(kind, 6000);
+    std::vector<Rgb> powers;
+    for (const Vec3f& p : points) powers.push_back(p.x() < -12 || p.x() > 32 ? Rgb::Ones() : Rgb::Zero());
+    for (const Rgb& sum : dual_tree_sums(points, points, powers, profile, {})) ASSERT_GE(sum.minCoeff(), 0);
+  }
+}
+
 class DualTreeClouds : public testing::TestWithParam<Cloud> {};
 
 // Lit from one side, so that the other one lives on what comes far: each sum, bright or dim, within the tolerance.
