@@ -8,6 +8,8 @@
 #   make synthesis-report [MESHES=folder] [OUT=dir] [SAMPLES='name name'] [ONLY='name name'] [SIZE=80]
 #                    samples of every source on bunny, armadillo, spot (of MESHES, else a shape of our own) and a genus-3
 #                    shape: pictures, time, memory, figures of quality, the default way beside the paper's
+#   make stf-report [OUT=dir] [ONLY='part part'] [WIDTH=240] [PATHS=1]
+#                    shell texture functions: pictures, their errors and times against light paths (SG_LONG=1: larger, finer)
 #   make diffusion-map [OUT=dir]
 #                    the error of diffusion against sg-reference, a table and a picture (SG_LONG=1: all of it)
 #   make SCENE=path [OUT=dir] [image.png or any artefact of the scene; views; report]
@@ -33,7 +35,7 @@ export SCENE OUT MESHES
 ARTEFACTS := all views report image.png image.exr exitance.ply reference.ply core.ply stf.vdb fluence.hdf polygrid.hdf polycube.hdf tets.hdf shell.vdb \
   synthesized.ply textons.vdb sample.vdb core-sample.vdb $(foreach n,2 3 4 5 6 7 8,sample-$(n).vdb) distance.vdb surface.ply \
   polygrid.view.ply polycube.view.ply shell.view.ply textons.view.ply sample.view.ply stf.view.ply distance.view.ply
-.PHONY: setup configure build programs test demo bench geometry-report synthesis-report diffusion-map docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
+.PHONY: setup configure build programs test demo bench geometry-report synthesis-report stf-report diffusion-map docs format check-format sanitize accuracy stress clean $(ARTEFACTS)
 
 setup:
 	@bash .ci/install-packages
@@ -130,6 +132,11 @@ synthesis-report: programs
 	  tar -xzf $(meshes) -C "$$folder" data/meshes && \
 	  SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/synthesis_report.py -o "$$out" \
 	    $(if $(SIZE),--size $(SIZE)) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(ONLY),--meshes $(ONLY)) -- $${MESHES:+"$$MESHES"} "$$folder/data/meshes"
+
+# ONLY='part part': parts layers shadow reference gallery. WIDTH: of the pictures, pixels; PATHS: factor on the light paths.
+stf-report: programs assets/meshes/bunny00.off
+	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/stf_report.py -o "$${OUT:-out/stf-report}" --bunny assets/meshes/bunny00.off \
+	  $(if $(ONLY),--only $(ONLY)) $(if $(WIDTH),--width $(WIDTH)) $(if $(PATHS),--paths $(PATHS))
 
 # Sphere, plate and bunny by albedo, thickness and source. SG_LONG=1: finer grids, less noise, six albedos by five thicknesses.
 diffusion-map: programs assets/meshes/bunny00.off

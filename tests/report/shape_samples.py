@@ -52,8 +52,8 @@ def pillow():
     return flat * (1 + 0.12 * numpy.cos(3 * points[:, :1]) * numpy.sin(4 * points[:, 2:])), faces
 
 
-def blocks(filled):
-    """The smoothed boundary of a set of cubes, a boolean array; no two may touch in an edge or a corner alone."""
+def blocks(filled, smooth=True):
+    """The boundary of a set of cubes, a boolean array, smoothed or not; no two may touch in an edge or a corner alone."""
     padded = numpy.pad(filled, 1)
     number, points, faces = {}, [], []
 
@@ -75,6 +75,8 @@ def blocks(filled):
                 quad = quad if side else quad[::-1]
                 faces += [(quad[0], quad[1], quad[2]), (quad[0], quad[2], quad[3])]
     points, faces = numpy.array(points, float), numpy.array(faces)
+    if not smooth:
+        return points, faces
     pairs = numpy.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     degree = numpy.bincount(pairs[:, 0], minlength=len(points))[:, None]
     for step in range(60):  # [Taubin1995], between its pairs of steps some that only smooth

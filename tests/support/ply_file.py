@@ -22,3 +22,16 @@ def read_ply(path):
     vertices = numpy.frombuffer(content, numpy.dtype([(name, TYPES[kind]) for kind, name in fields]), counts["vertex"], end)
     triangle = numpy.dtype([("count", "u1"), ("corners", "<i4", 3)])
     return vertices, numpy.frombuffer(content, triangle, counts.get("face", 0), end + vertices.nbytes)["corners"]
+
+
+def write_ply(path, vertices, triangles):
+    """The same: a structured array, and triangles, m × 3."""
+    kinds = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
+    names = ["property %s %s\n" % (kinds[vertices.dtype[name].str.lstrip("<|")], name) for name in vertices.dtype.names]
+    faces = numpy.empty(len(triangles), numpy.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+    faces["count"], faces["corners"] = 3, triangles
+    with open(path, "wb") as file:
+        file.write(("ply\nformat binary_little_endian 1.0\nelement vertex %d\n%selement face %d\n"
+                    "property list uchar int vertex_indices\nend_header\n" % (len(vertices), "".join(names), len(faces))).encode())
+        file.write(vertices.tobytes())
+        file.write(faces.tobytes())
