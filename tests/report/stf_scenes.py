@@ -155,8 +155,10 @@ def gallery(study, sizes):
     lit = {"floor": FLOOR, "samples": 4}
     yield ("jade-torus", scene(mesh("torus", programs.torus()), 60, of("spots", size=[48, 48], count=22), 4, 0.4,
                                view((40, 75, 150), 25), GALLERY_LIGHTS, 1.5, **lit), [("jade-torus", view((40, 75, 150), 25))])
-    yield ("bumpy-bunny", scene(bunny, 80, of("bumps", size=[48, 48], count=15), 5.2, 0.4, front, GALLERY_LIGHTS, 1.4, **lit),
-           [("bumpy-bunny", front)])
+    # Larger and with lower bumps: its ears are thinner than the others' are high.
+    near = view((-47, 47, 257), 26)
+    yield ("bumpy-bunny", scene(bunny, 100, of("bumps", size=[48, 48], voxel=0.5, thickness=4.5, count=36, radius=1.2, lift=0.4), 4.5,
+                                0.5, near, GALLERY_LIGHTS, 1.4, **lit), [("bumpy-bunny", near)])
     yield ("marble-bunny", scene(bunny, 80, of("marble"), 4, 0.4, front, GALLERY_LIGHTS, 1.5, **lit),
            [("marble-bunny", front), ("marble-bunny-from-behind", back)])
     yield ("wax-soap", scene(mesh("soap", soap()), 90, of("wax"), 12, 0.5, view((60, 70, 190), 26), GALLERY_LIGHTS, 1.43, **lit),
