@@ -86,7 +86,7 @@ void measure(const std::string& path) {
        {std::pair{SynthesisMethod::exhaustive, "exhaustive"}, std::pair{SynthesisMethod::coherence, "coherence"},
         std::pair{SynthesisMethod::textons, "textons"}}) {
     const TextonSet& set = method == SynthesisMethod::textons ? quantized : textons;
-    const int seeds = method == SynthesisMethod::exhaustive && !test::long_form() ? 1 : 4;
+    const int seeds = 4;
     Cost total;
     double distance = 0, comparisons = 0;
     for (int seed = 0; seed < seeds; ++seed) {
