@@ -116,6 +116,7 @@ bench: build assets/meshes/bunny00.off $(bunny_sizes:%=$(bunny)/polygrid-%.hdf) 
 	  if [ -f "$$plot" ]; then gnuplot -e "csv='out/bench/$$name.csv'; picture='out/bench/$$name.png'" "$$plot" || exit 1; fi; \
 	done
 	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/cost_charts.py assets/meshes/bunny00.off -o out/bench
+	@SG_BIN=$(BUILD)/bin /usr/bin/python3 -B tests/report/shell_texture_cost.py -o out/bench --bunny assets/meshes/bunny00.off
 
 # LIMIT=n: the n smallest meshes only; ONLY='name name': these. SG_LONG=1: also time and memory against nodes and voxels.
 geometry-report: programs

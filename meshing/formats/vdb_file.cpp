@@ -3,6 +3,7 @@
 #include "meshing/formats/vdb_file.h"
 
 #include <fmt/format.h>
+#include <oneapi/tbb/enumerable_thread_specific.h>
 #include <openvdb/io/Archive.h>
 #include <openvdb/io/File.h>
 #include <openvdb/io/io.h>
@@ -23,6 +24,7 @@
 
 #include "meshing/core/error.h"
 #include "meshing/core/guarded_child.h"
+#include "meshing/core/parallel.h"
 #include "meshing/formats/output_file.h"
 #include "meshing/formats/untrusted_file.h"
 
@@ -212,8 +214,12 @@ TwoLevelGrid<T> from_vdb_grid(const std::string& path, const typename VdbGridOf<
     throw InputError(fmt::format("{}: the grid '{}' spans {:.0f}×{:.0f}×{:.0f} leaves, too many for a dense top array",
                                  path, grid.getName(), counts.x(), counts.y(), counts.z()));
   TwoLevelGrid<T> result(lower, upper - lower + Vec3i::Ones(), background);
+  std::vector<Vec3i> leaves;
+  leaves.reserve(pieces.size());
+  for (const Piece& piece : pieces) leaves.push_back(leaf_coordinate(piece));
+  result.allocate_leaves(leaves);
   for (const Piece& piece : pieces) {
-    const int leaf_index = result.allocate_leaf(leaf_coordinate(piece));
+    const int leaf_index = result.find_leaf(leaf_coordinate(piece));
     T* to = result.leaf_values(leaf_index);
     typename TwoLevelGrid<T>::Mask& mask = result.leaf_mask(leaf_index);
     if (!piece.leaf) {
@@ -247,34 +253,65 @@ void require_memory_for(const std::string& path) {
   kept[0] = 0;
 }
 
-VdbArchive parse(const std::string& path, bool outline) {
+// Whether several threads may read: not so in a forked child, which has but one. outline: without samples.
+enum class Reading { at_once, one_by_one, outline };
+
+// The grids of these names, each read by itself, as entries in their order; those of other types are left empty.
+void read_grids(const std::string& path, const std::vector<std::string>& names, Reading reading, VdbArchive& archive) {
+  std::vector<VdbArchive> read(names.size());
+  const auto read_one = [&](openvdb::io::File& file, std::size_t n) {
+    openvdb::GridBase::Ptr grid;
+    {
+      const ForeignCode foreign;
+      grid = reading == Reading::outline ? file.readGridMetadata(names[n]) : file.readGrid(names[n]);
+    }
+    if (!grid || (!take<float>(path, grid, read[n]) && !take<std::int32_t>(path, grid, read[n]) &&
+                  !take<Vec3f>(path, grid, read[n])))
+      return;
+    read[n].frame = frame_of(path, *grid);
+  };
+  const auto opened = [&] {
+    const ForeignCode foreign;
+    auto file = std::make_unique<openvdb::io::File>(path);
+    file->open(/*delayLoad=*/false);
+    return file;
+  };
+  if (reading != Reading::at_once) {
+    const auto file = opened();
+    for (std::size_t n = 0; n < names.size(); ++n) read_one(*file, n);
+  } else {
+    oneapi::tbb::enumerable_thread_specific<std::unique_ptr<openvdb::io::File>> files(opened);
+    parallel_for(
+        names.size(), [&](std::size_t n) { read_one(*files.local(), n); }, 1);
+  }
+  for (VdbArchive& one : read) {
+    if (one.grids.empty()) continue;
+    if (!archive.grids.empty() && (one.frame.voxel != archive.frame.voxel || one.frame.origin != archive.frame.origin))
+      throw InputError(fmt::format("{}: the grid '{}' lies in another frame than '{}'", path, one.grids.front().name,
+                                   archive.grids.front().name));
+    archive.frame = one.frame;
+    archive.grids.push_back(std::move(one.grids.front()));
+  }
+}
+
+VdbArchive parse(const std::string& path, const std::vector<std::string>& wanted, Reading reading) {
   require_memory_for(path);
   VdbArchive archive;
   try {
     openvdb::MetaMap::Ptr metadata;
-    openvdb::GridPtrVecPtr grids;
+    std::vector<std::string> names;
     {
       const ForeignCode foreign;
       openvdb::io::File file(path);
       file.open(/*delayLoad=*/false);
       metadata = file.getMetadata();
-      grids = outline ? file.readAllGridMetadata() : file.getGrids();
+      for (auto name = file.beginName(); name != file.endName(); ++name) names.push_back(*name);
     }
+    if (!wanted.empty())
+      std::erase_if(names, [&](const std::string& name) { return std::ranges::find(wanted, name) == wanted.end(); });
     for (auto it = metadata->beginMeta(); it != metadata->endMeta(); ++it)
       archive.metadata[it->first] = it->second ? it->second->str() : std::string();
-    bool has_frame = false;
-    for (const openvdb::GridBase::Ptr& grid : *grids) {
-      if (!grid) continue;
-      if (!take<float>(path, grid, archive) && !take<std::int32_t>(path, grid, archive) &&
-          !take<Vec3f>(path, grid, archive))
-        continue;
-      const GridFrame frame = frame_of(path, *grid);
-      if (has_frame && (frame.voxel != archive.frame.voxel || frame.origin != archive.frame.origin))
-        throw InputError(fmt::format("{}: the grid '{}' lies in another frame than '{}'", path, grid->getName(),
-                                     archive.grids.front().name));
-      archive.frame = frame;
-      has_frame = true;
-    }
+    read_grids(path, names, reading, archive);
   } catch (const InputError&) {
     throw;
   } catch (const std::bad_alloc&) {
@@ -284,7 +321,8 @@ VdbArchive parse(const std::string& path, bool outline) {
   } catch (const std::exception& error) {
     throw InputError(fmt::format("{}: not a readable OpenVDB file: {}", path, one_line(error.what())));
   }
-  if (archive.grids.empty()) throw InputError(path + ": the file holds no float, int32 or vec3s grid");
+  if (archive.grids.empty() && wanted.empty())
+    throw InputError(path + ": the file holds no float, int32 or vec3s grid");
   return archive;
 }
 
@@ -337,24 +375,28 @@ void VdbArchive::set_numbers(const std::string& key, const std::vector<double>& 
 
 namespace {
 
-VdbArchive read_checked(const std::string& path, bool outline) {
+VdbArchive read_checked(const std::string& path, const std::vector<std::string>& wanted, bool outline) {
   initialize_library();
   {
     const std::string bytes = read_text(path);
     if (bytes.empty()) throw InputError(path + ": the file is empty");
     if (bytes.size() < 8 || bytes.compare(0, 8, std::string(" BDV\0\0\0\0", 8)) != 0)
       throw InputError(path + ": not an OpenVDB file");
-    if (!has_valid_seal(bytes)) rehearse_reading(path, "OpenVDB", [&] { new VdbArchive(parse(path, outline)); });
+    if (!has_valid_seal(bytes))
+      rehearse_reading(path, "OpenVDB",
+                       [&] { new VdbArchive(parse(path, wanted, outline ? Reading::outline : Reading::one_by_one)); });
   }
-  VdbArchive archive = parse(path, outline);
+  VdbArchive archive = parse(path, wanted, outline ? Reading::outline : Reading::at_once);
   archive.path = path;
   return archive;
 }
 
 }  // namespace
 
-VdbArchive read_vdb(const std::string& path) { return read_checked(path, false); }
-VdbArchive read_vdb_outline(const std::string& path) { return read_checked(path, true); }
+VdbArchive read_vdb(const std::string& path, const std::vector<std::string>& wanted) {
+  return read_checked(path, wanted, false);
+}
+VdbArchive read_vdb_outline(const std::string& path) { return read_checked(path, {}, true); }
 bool is_as_written(const std::string& path) { return has_valid_seal(read_text(path)); }
 
 void write_vdb(const std::string& path, const VdbArchive& archive) {
@@ -417,19 +459,32 @@ Rgb colour_of(const VdbArchive& archive, const std::string& key) {
 
 }  // namespace
 
-ShellVolume read_shell_volume(const std::string& path, std::map<std::string, std::string>* notes) {
-  const VdbArchive archive = read_vdb(path);
+ShellVolume read_shell_volume(const std::string& path, ShellParts parts, std::map<std::string, std::string>* notes) {
+  std::vector<std::string> wanted = {"texture_coordinate", "kind", "surface_ior"};
+  if (parts != ShellParts::shape)
+    for (const char* name : {"extinction", "albedo", "anisotropy"}) wanted.emplace_back(name);
+  if (parts == ShellParts::all) wanted.emplace_back("normal");
+  VdbArchive archive = read_vdb(path, wanted);
   if (notes) *notes = archive.metadata;
   ShellVolume shell;
   shell.frame = archive.frame;
-  shell.texture_coordinate = archive.get<Vec3f>("texture_coordinate");
-  shell.extinction = archive.get<Vec3f>("extinction");
-  shell.albedo = archive.get<Vec3f>("albedo");
-  shell.anisotropy = archive.get<Vec3f>("anisotropy");
-  shell.normal = archive.get<Vec3f>("normal");
-  shell.kind = archive.get<std::int32_t>("kind");
-  for (const VdbArchive::Entry& entry : archive.grids)
-    if (entry.name == "surface_ior") shell.surface_ior = archive.get<float>("surface_ior");
+  const auto move = [&](const char* name, auto& to) {
+    using Grid = std::remove_reference_t<decltype(to)>;
+    for (VdbArchive::Entry& entry : archive.grids)
+      if (entry.name == name)
+        if (auto* grid = std::get_if<Grid>(&entry.grid)) return void(to = std::move(*grid));
+    if (&to != static_cast<void*>(&shell.surface_ior))
+      to = archive.get<std::decay_t<decltype(to.background())>>(name);  // says what lacks
+  };
+  move("texture_coordinate", shell.texture_coordinate);
+  move("kind", shell.kind);
+  if (parts != ShellParts::shape) {
+    move("extinction", shell.extinction);
+    move("albedo", shell.albedo);
+    move("anisotropy", shell.anisotropy);
+  }
+  if (parts == ShellParts::all) move("normal", shell.normal);
+  move("surface_ior", shell.surface_ior);
   shell.core.extinction = colour_of(archive, "core_extinction");
   shell.core.albedo = colour_of(archive, "core_albedo");
   shell.core.anisotropy = colour_of(archive, "core_anisotropy");

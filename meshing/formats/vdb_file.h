@@ -41,7 +41,8 @@ struct VdbArchive {
 // may crash on corrupt ones.
 // Throws: InputError for a missing, empty, truncated or corrupt file, one that is not OpenVDB, a
 // transform that is not uniform scale and translation.
-VdbArchive read_vdb(const std::string& path);
+// wanted: names of the grids to read, where they are there; empty: all of them.
+VdbArchive read_vdb(const std::string& path, const std::vector<std::string>& wanted = {});
 // The same without the grids' samples: their names, types, frame, and the metadata.
 VdbArchive read_vdb_outline(const std::string& path);
 // Whether the file is as write_vdb left it, not saved anew by another program since. Throws: InputError.
@@ -53,8 +54,11 @@ void write_vdb(const std::string& path, const VdbArchive& archive);
 
 DistanceField read_distance_field(const std::string& path);
 void write_distance_field(const std::string& path, const DistanceField& field);
+// shape: where its voxels are, and which are matter; matter: what they are, too; all: and the normals.
+enum class ShellParts { shape, matter, all };
 // notes: what the file's metadata say beside the shell.
-ShellVolume read_shell_volume(const std::string& path, std::map<std::string, std::string>* notes = nullptr);
+ShellVolume read_shell_volume(const std::string& path, ShellParts parts = ShellParts::all,
+                              std::map<std::string, std::string>* notes = nullptr);
 void write_shell_volume(const std::string& path, const ShellVolume& shell,
                         const std::map<std::string, std::string>& notes = {});
 

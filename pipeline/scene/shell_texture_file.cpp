@@ -11,15 +11,17 @@
 
 namespace shellgrid {
 
-std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path, std::string* sample) {
+std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path, ShellTextureParts parts,
+                                                       std::string* sample) {
   if (std::filesystem::path(path).extension() == ".stf") {
     const NumberArchive archive = read_number_archive(path);
     if (sample) *sample = archive.fingerprint;
     return restore_compressed(archive, path);
   }
-  const VdbArchive archive = read_vdb(path);
+  const VdbArchive archive = read_vdb(path, shell_texture_grids(parts));
   if (sample) *sample = note_of(archive.metadata, samples_note);
-  return look_up_as_it_is(restore_shell_texture(archive));
+  const ShellTexture texture = restore_shell_texture(archive, parts);
+  return parts == ShellTextureParts::all ? look_up_as_it_is(texture) : look_up_bottom(texture);
 }
 
 IrradianceCorrection irradiance_correction(const std::string& name) {

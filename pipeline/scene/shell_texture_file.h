@@ -4,13 +4,17 @@
 #include <string>
 #include <vector>
 
+#include "solvers/shell_texture/shell_texture_archive.h"
 #include "solvers/shell_texture/spread_light.h"
 
 namespace shellgrid {
 
 // A shell texture function as sg-irradiance writes it, plain (.vdb) or compressed (.stf), to be looked up.
-// sample: the hash of its sample's file, as in origin.h. Throws: InputError.
-std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path, std::string* sample = nullptr);
+// parts: of a plain one, what is read; with its bottom alone it has no reader. sample: the hash of its sample's file,
+// as in origin.h. Throws: InputError.
+std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path,
+                                                       ShellTextureParts parts = ShellTextureParts::all,
+                                                       std::string* sample = nullptr);
 
 // The choices of `--correction` of sg-core and sg-render.
 inline const std::vector<std::string> irradiance_correction_names = {"kernels", "one", "none"};

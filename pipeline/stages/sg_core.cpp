@@ -5,6 +5,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <optional>
 
 #include "meshing/core/error.h"
 #include "meshing/formats/mesh_file.h"
@@ -76,8 +77,8 @@ struct CoreShine {
   std::string account;
 };
 
-CoreShine dipole_shine(CoreSurface& core, const ShellVolume& shell, double ior, bool paper, CoreExchangeOptions options,
-                       StageRun& run) {
+CoreShine dipole_shine(CoreSurface& core, const TexturedFrames& frames, const VertexBuckets* pieces,
+                       const ShellVolume& shell, double ior, bool paper, CoreExchangeOptions options, StageRun& run) {
   if (options.bounces == 0) core.shell_reflection.clear();
   const auto channels = core_dipoles(shell.core, ior, paper);
   double area = 0;
@@ -86,6 +87,18 @@ CoreShine dipole_shine(CoreSurface& core, const ShellVolume& shell, double ior, 
       std::sqrt(area / std::max<double>(1, static_cast<double>(core.points.size())) / std::numbers::pi);
   if (!paper)
     for (int c = 0; c < 3; ++c) options.returned[c] = channels[c].total();
+  CoarserCore coarser;
+  std::optional<RadialProfile> coarser_profile;
+  std::optional<VertexBuckets> larger;
+  if (pieces && options.bounces > 0) {
+    larger.emplace(frames, vertex_areas(frames.mesh), 2 * pieces->edge());
+    coarser.surface = merged(core, *pieces, *larger);
+    coarser_profile.emplace(dipole_profile(
+        channels, std::sqrt(area / std::max<double>(1, static_cast<double>(larger->count())) / std::numbers::pi)));
+    coarser.profile = &*coarser_profile;
+    coarser.at_points = [&](const std::vector<Rgb>& values) { return at_pieces(*larger, *pieces, values); };
+    options.coarser = &coarser;
+  }
   CoreExchange exchange = exchange_core_light(core, dipole_profile(channels, radius), options);
   if (exchange.greatest_return > 1.5)
     run.progress().warn(
@@ -124,6 +137,7 @@ CoreShine diffusion_shine(const CoreSurface& core, const ShellVolume& shell, con
 int main(int argc, char** argv) {
   std::string scene_path, mesh_path, shell_path, texture_path, fluence_path, model = "matched", correction = "kernels";
   int environment_samples = 384;
+  double piece = 0.3;
   CoreExchangeOptions options;
   options.sums.tolerance = 0.02;
   StageProgram program("sg-core", "Finds the light that the core below a shell gives back, by the dipole.");
@@ -144,6 +158,9 @@ int main(int argc, char** argv) {
                  "how often at most light that the core gives back, and the shell returns, enters again; 0: as the "
                  "paper does",
                  0, 100);
+  program.option("--piece", piece, "of the shell's thickness",
+                 "edge of the pieces of the core's surface that each stand as one point; 0: each vertex by itself", 0,
+                 1);
   program.flag("--brute-force", options.sums.brute_force, "sum over all pairs, to check the hierarchy");
   program.option("--environment-samples", environment_samples, "", "parallel lights that stand for an environment", 1,
                  65536);
@@ -155,13 +172,13 @@ int main(int argc, char** argv) {
     program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
                           {"--environment-samples"});
     program.refuse_unless(fluence_path.empty(), "a core by the dipole, without --fluence",
-                          {"--dipole", "--tolerance", "--bounces", "--brute-force"});
+                          {"--dipole", "--tolerance", "--bounces", "--piece", "--brute-force"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
     std::map<std::string, std::string> shell_notes;
-    const ShellVolume shell = read_shell_volume(shell_path, &shell_notes);
+    const ShellVolume shell = read_shell_volume(shell_path, ShellParts::shape, &shell_notes);
     require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress());
     std::string sample;
-    const auto texture = open_shell_texture(texture_path, &sample);
+    const auto texture = open_shell_texture(texture_path, ShellTextureParts::bottom, &sample);
     require_same_samples(sample, texture_path, note_of(read_notes(mesh_path), samples_note), mesh_path);
     require_same_samples(sample, texture_path, note_of(shell_notes, samples_note), shell_path);
     if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
@@ -182,25 +199,36 @@ int main(int argc, char** argv) {
     const IncidentLight light(frames, geometry, scene.lights, texture->directions(), environment_samples);
     const IrradianceKernels kernels = corrected_by(texture->kernels(), irradiance_correction(correction));
     const SpreadLight spread(light, kernels, texture->size(), surface.coordinate);
-    CoreSurface core = core_surface(frames, spread, *texture, surface.coordinate, shell.thickness);
+    const double edge = fluence_path.empty() ? piece * shell.thickness : 0;
+    std::optional<VertexBuckets> pieces;
+    if (edge > 0) pieces.emplace(frames, vertex_areas(surface.mesh), edge);
+    CoreSurface core =
+        core_surface(frames, spread, *texture, surface.coordinate, shell.thickness, pieces ? &*pieces : nullptr);
     run.start_timer("exchange");
-    const CoreShine shine =
+    CoreShine shine =
         fluence_path.empty()
-            ? dipole_shine(core, shell, ior, model == "paper", options, run)
+            ? dipole_shine(core, frames, pieces ? &*pieces : nullptr, shell, ior, model == "paper", options, run)
             : diffusion_shine(core, shell, frames, read_fluence_field(fluence_path, surface.mesh, mesh_path));
+
+    const Eigen::Array3d leaving = power(core, shine.exitance);
+    if (pieces) {
+      shine.exitance = at_vertices(frames, *pieces, shine.exitance);
+      shine.irradiance = at_vertices(frames, *pieces, shine.irradiance);
+    }
 
     run.start_timer("write");
     TriangleMesh shape = surface.mesh;
-    for (int v = 0; v < shape.vertex_count(); ++v) shape.vertices.row(v) = core.points[v].cast<double>().transpose();
+    shape.vertices -= shell.thickness * frames.normals;
     write_ply(
         run.output(), exitance_mesh(shape, shine.exitance, shine.irradiance),
         {{samples_note, sample}, {shell_note, hash_files({shell_path})}, {lights_note, hash_lights(scene.lights)}});
     Eigen::Array3d entering = Eigen::Array3d::Zero();
     for (const Rgb& one : core.power) entering += one.cast<double>();
     run.results() = shine.results;
+    run.results()["vertices"] = surface.mesh.vertex_count();
     run.results()["points"] = core.points.size();
     run.results()["entering_power"] = list(entering);
-    run.results()["leaving_power"] = list(power(core, shine.exitance));
+    run.results()["leaving_power"] = list(leaving);
     run.results()["vertices_corrected"] = spread.spread_vertices();
     run.results()["shadow_rays"] = light.statistics().shadow_rays.load();
     run.results()["shadow_rays_skipped"] = light.statistics().shadow_rays_skipped.load();

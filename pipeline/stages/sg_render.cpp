@@ -69,7 +69,7 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   if (!surface.sample.empty())
     throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
   std::map<std::string, std::string> shell_notes;
-  const ShellVolume shell = read_shell_volume(files.shell, &shell_notes);
+  const ShellVolume shell = read_shell_volume(files.shell, ShellParts::matter, &shell_notes);
   require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress());
   if (std::abs(shell.ior - scene.object->ior) > 1e-6)
     run.progress().warn(
@@ -77,7 +77,8 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
                     "that of the surface alone",
                     files.shell, shell.ior, scene.object->ior));
   std::string sample;
-  const auto texture = naming(files.texture, [&] { return open_shell_texture(files.texture, &sample); });
+  const auto texture =
+      naming(files.texture, [&] { return open_shell_texture(files.texture, ShellTextureParts::all, &sample); });
   require_same_samples(sample, files.texture, note_of(read_notes(surface_path), samples_note), surface_path);
   require_same_samples(sample, files.texture, note_of(shell_notes, samples_note), files.shell);
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
@@ -92,7 +93,8 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
       throw InputError(fmt::format("{}: {} vertices, but {} has {}", files.core, core_mesh.mesh.vertex_count(),
                                    surface_path, surface.mesh.vertex_count()));
   }
-  const TransportObject object(surface.mesh, shell, scene.object->ior, nullptr, false);
+  run.start_timer("render");
+  const TransportObject object = TransportObject::of_surfaces(surface.mesh, shell, scene.object->ior);
   const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
   ShellTextureSettings shown{settings};
   shown.outside_light = files.light != "core";
@@ -178,7 +180,7 @@ int main(int argc, char** argv) {
     settings.floor = scene.floor;
 
     warn_of_darkness(scene, run.progress());
-    run.start_timer("render");
+    if (!files.asked_for()) run.start_timer("render");
     const bool opaque = scene.material && scene.material->opaque;
     if (!opaque && !scene.object) throw InputError(scene_path + ": no object; its ior is needed");
     const auto render = [&] {

@@ -139,12 +139,28 @@ CoreExchange exchange_core_light(const CoreSurface& surface, const RadialProfile
     return coming;
   };
   result.power = surface.power;
-  if (!surface.shell_reflection.empty() && options.bounces > 0 && n > 0) {
+  if (!surface.shell_reflection.empty() && options.bounces > 0 && n > 0 && options.coarser) {
+    CoreExchangeOptions coarse_options = options;
+    coarse_options.coarser = nullptr;
+    CoreExchange coarse = exchange_core_light(options.coarser->surface, *options.coarser->profile, coarse_options);
+    for (std::size_t i = 0; i < coarse.first.size(); ++i) coarse.exitance[i] -= coarse.first[i];
+    result.first = leaving(surface.power, later);
+    const std::vector<Rgb> more = options.coarser->at_points(coarse.exitance);
+    std::vector<Rgb> all(n);
+    for (std::size_t i = 0; i < n; ++i) all[i] = (result.first[i] + more[i]).max(0);
+    const std::vector<Rgb> coming = returned(all);
+    for (std::size_t i = 0; i < n; ++i) result.power[i] += coming[i];
+    result.bounces = coarse.bounces;
+    result.residual = coarse.residual;
+    result.evaluations += coarse.evaluations;
+    result.greatest_return = std::max(result.greatest_return, coarse.greatest_return);
+  } else if (!surface.shell_reflection.empty() && options.bounces > 0 && n > 0) {
     // All bounces loosely; then the whole once more, exactly.
     BounceSum series(surface);
     std::vector<Rgb> bounce = leaving(surface.power, later), all;
     Eigen::Array3d before = integral(surface, bounce);
     series.add(bounce);
+    result.first = bounce;
     while ((before > 0).any()) {
       all = series.sum(result.residual);
       if (series.count() > options.bounces || series.count() == BounceSum::most_unknown + 2 ||

@@ -3,6 +3,7 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "solvers/dipole/dual_tree.h"
@@ -19,8 +20,16 @@ struct CoreSurface {
   std::vector<float> presence;
 };
 
+// The same surface by fewer points, for light that goes to and fro.
+struct CoarserCore {
+  CoreSurface surface;
+  const RadialProfile* profile = nullptr;
+  std::function<std::vector<Rgb>(const std::vector<Rgb>&)> at_points;  // its values at the finer surface's points
+};
+
 struct CoreExchangeOptions {
   DualTreeOptions sums;
+  const CoarserCore* coarser = nullptr;  // or none
   // The paper's is 0: light that comes out of the core does not enter it again. Source: [STF §7].
   int bounces = 12;         // at most
   double tolerance = 4e-3;  // of what is not followed further: root mean square over the surface, relative
@@ -32,6 +41,7 @@ struct CoreExchangeOptions {
 
 struct CoreExchange {
   std::vector<Rgb> exitance;  // M of each point, into the shell, W mm⁻²
+  std::vector<Rgb> first;     // of that, what comes from the power given, loosely; empty where nothing bounces
   std::vector<Rgb> power;     // all that enters, with what has come down again, W
   int bounces = 0;            // followed
   // By how much the bounces' sum was none before the last one: root mean square over the surface, relative.
@@ -43,7 +53,8 @@ struct CoreExchange {
 
 // M = K (P + R A M): K the profile's sum over the points, A their areas, R the shell's reflection. Bounces
 // are followed at four times the tolerance and combined as GMRES does, until what is missed is below it; the last sum
-// is that of all that comes, at the tolerance itself. Throws: InputError where lists do not match or hold what is none,
+// is that of all that comes, at the tolerance itself. With a coarser surface its bounces are taken, as what they add to
+// the first. Throws: InputError where lists do not match or hold what is none,
 // NumericalError where bounces do not shrink.
 CoreExchange exchange_core_light(const CoreSurface& surface, const RadialProfile& profile,
                                  const CoreExchangeOptions& options = {});

@@ -103,6 +103,10 @@ RadialProfile::RadialProfile(const Channels& channels, double averaged) {
   }
   if (!std::isfinite(narrowest)) return;  // black: all is 0
   offset_ = static_cast<float>(0.25 * narrowest * narrowest);
+  const auto told = [&](int c, double r) {
+    const double v = value(c, r);
+    return v > least_share * greatest[c] ? static_cast<float>(v) : 0.0f;
+  };
   const float top = static_cast<float>(std::min(farthest * farthest, 1e30));
   reach_ = std::sqrt(static_cast<double>(top));
   const auto distance_of = [&](std::uint32_t node, double part) {
@@ -110,37 +114,48 @@ RadialProfile::RadialProfile(const Channels& channels, double averaged) {
     const auto v = static_cast<double>(std::bit_cast<float>((node + first_ + 1) << shift_));
     return std::sqrt(std::max(0.0, u + part * (v - u) - static_cast<double>(offset_)));
   };
+  // From step to step half as far apart: between the nodes before are those values by which they were judged.
+  std::vector<Float4> values, between;
+  std::uint32_t first_before = 0;
   for (int bits = 5; bits <= 12; ++bits) {
     shift_ = 23 - bits;
     mask_ = (1u << shift_) - 1;
     per_node_ = 1 / static_cast<float>(1u << shift_);
     first_ = std::bit_cast<std::uint32_t>(offset_) >> shift_;
     last_ = (std::bit_cast<std::uint32_t>(offset_ + top) >> shift_) - first_ + 1;
-    std::vector<Float4> values(last_ + 1, Float4{});
+    const std::vector<Float4> values_before = std::move(values), between_before = std::move(between);
+    values.assign(last_ + 1, Float4{});
+    between.assign(last_, Float4{});
     std::vector<float> errors(last_, 0);
     parallel_for(
         last_ + 1,
         [&](std::size_t i) {
           const auto node = static_cast<std::uint32_t>(i);
-          for (int c = 0; c < 3; ++c) {
-            if (!(greatest[c] > 0)) continue;
-            const double v = value(c, distance_of(node, 0));
-            values[i][c] = v > least_share * greatest[c] ? static_cast<float>(v) : 0.0f;
+          const std::uint32_t before = ((node + first_) >> 1) - first_before;
+          const bool is_between = ((node + first_) & 1) != 0;
+          if (!values_before.empty() && (node + first_) >> 1 >= first_before &&
+              before < (is_between ? between_before : values_before).size()) {
+            values[i] = (is_between ? between_before : values_before)[before];
+            return;
           }
+          for (int c = 0; c < 3; ++c)
+            if (greatest[c] > 0) values[i][c] = told(c, distance_of(node, 0));
         },
         64);
     parallel_for(
         last_,
         [&](std::size_t i) {
-          const auto node = static_cast<std::uint32_t>(i);
           for (int c = 0; c < 3; ++c) {
+            if (!(greatest[c] > 0) || !(values[i][c] > 0)) continue;
+            between[i][c] = told(c, distance_of(static_cast<std::uint32_t>(i), 0.5));
             if (!(values[i + 1][c] > 0)) continue;
-            const double exact = value(c, distance_of(node, 0.5));
-            const double between = 0.5 * (static_cast<double>(values[i][c]) + static_cast<double>(values[i + 1][c]));
-            errors[i] = std::max(errors[i], static_cast<float>(std::abs(between / exact - 1)));
+            const double half = 0.5 * (static_cast<double>(values[i][c]) + static_cast<double>(values[i + 1][c]));
+            errors[i] =
+                std::max(errors[i], static_cast<float>(std::abs(half / static_cast<double>(between[i][c]) - 1)));
           }
         },
         64);
+    first_before = first_;
     table_.assign(last_ + 1, Node{});
     for (std::uint32_t i = 0; i < last_; ++i) table_[i] = {values[i], values[i + 1] - values[i]};
     if (*std::max_element(errors.begin(), errors.end()) <= accuracy) break;

@@ -15,7 +15,7 @@ namespace shellgrid {
 namespace {
 
 // Of the thickness: from this distance to the surface on there is a core, and from this one on all of it.
-constexpr double ended = 0.7, whole = 0.9;
+constexpr double ended = 0.7, gone_whole = 0.9;
 constexpr int thin_places = 16;  // looked at between two sides
 constexpr double least_share =
     0.2;  // of the shell's light, that diffusion must send down for a scale to mean something
@@ -23,52 +23,162 @@ constexpr double least_share =
 }  // namespace
 
 CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
-                         const std::vector<Vec2f>& coordinates, double thickness) {
+                         const std::vector<Vec2f>& coordinates, double thickness, const VertexBuckets* pieces) {
   const TriangleMesh& mesh = frames.mesh;
-  const auto n = static_cast<std::size_t>(mesh.vertex_count());
-  if (coordinates.size() != n) throw InputError("the surface's texture coordinates do not have its size");
+  const auto vertices = static_cast<std::size_t>(mesh.vertex_count());
+  if (coordinates.size() != vertices) throw InputError("the surface's texture coordinates do not have its size");
   if (!(thickness >= 0)) throw InputError("a shell's thickness is not negative");
-  CoreSurface surface;
-  surface.points.resize(n);
-  surface.areas.assign(n, 0.0f);
-  surface.power.resize(n);
-  surface.shell_reflection.resize(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    const int v = static_cast<int>(i);
-    surface.points[i] = (mesh.vertex(v) - thickness * frames.normals.row(v).transpose()).cast<float>();
-  }
-  // Where the shell is thicker than half the object, or than its radius of curvature, points come out near the surface
-  // again: there is no core.
-  const ClosestPointQuery query(mesh);
-  std::vector<float> there(n, 1.0f);
-  if (thickness > 0)
-    parallel_for(
-        n,
-        [&](std::size_t i) {
-          const Vec3 point = surface.points[i].cast<double>();
-          const double depth = (query.nearest(point, thickness).point - point).norm() / thickness;
-          there[i] = static_cast<float>(std::clamp((depth - ended) / (whole - ended), 0.0, 1.0));
-        },
-        64);
+  const auto below = [&](int v) -> Vec3 { return mesh.vertex(v) - thickness * frames.normals.row(v).transpose(); };
+  std::vector<float> areas(vertices, 0.0f);
   const auto area = [](const Vec3& a, const Vec3& b, const Vec3& c) -> Vec3 { return (b - a).cross(c - a) / 2; };
   for (int f = 0; f < mesh.face_count(); ++f) {
     const Vec3 above = area(mesh.corner(f, 0), mesh.corner(f, 1), mesh.corner(f, 2));
-    const auto point = [&](int k) -> Vec3 { return surface.points[mesh.faces(f, k)].cast<double>(); };
-    const double size = above.norm(), below = size > 0 ? area(point(0), point(1), point(2)).dot(above) / size : 0;
-    for (int k = 0; k < 3; ++k) surface.areas[mesh.faces(f, k)] += static_cast<float>(std::max(0.0, below) / 3);
+    const auto point = [&](int k) { return below(mesh.faces(f, k)); };
+    const double size = above.norm(), under = size > 0 ? area(point(0), point(1), point(2)).dot(above) / size : 0;
+    for (int k = 0; k < 3; ++k) areas[mesh.faces(f, k)] += static_cast<float>(std::max(0.0, under) / 3);
   }
-  for (std::size_t i = 0; i < n; ++i) surface.areas[i] *= there[i];
-  surface.presence = std::move(there);
+  const std::size_t n = pieces ? static_cast<std::size_t>(pieces->count()) : vertices;
+  CoreSurface surface;
+  surface.points.resize(n);
+  surface.areas.assign(n, 0.0f);
+  surface.power.assign(n, Rgb::Zero());
+  surface.shell_reflection.assign(n, Rgb::Zero());
+  surface.presence.assign(n, 1.0f);
+  const ClosestPointQuery query(mesh);
   parallel_for(
       n,
       [&](std::size_t i) {
-        const Vec2f& at = coordinates[i];
-        const Vec3f down = texture.below(at.x(), at.y(), texture.prepare(light.at_bottom(static_cast<int>(i))));
-        surface.power[i] = down.array().max(0) * surface.areas[i];
-        surface.shell_reflection[i] = texture.below_of_back_light(at.x(), at.y()).array().max(0).min(1);
+        const int own = static_cast<int>(i);
+        const std::vector<int>& members = pieces ? (*pieces)[own].members : std::vector<int>{own};
+        Vec3 point = Vec3::Zero(), plain = Vec3::Zero(), middle = Vec3::Zero();
+        double whole = 0;
+        for (const int v : members) {
+          const auto size = static_cast<double>(areas[v]);
+          point += size * below(v);
+          plain += below(v);
+          middle += mesh.vertex(v);
+          whole += size;
+        }
+        const auto count = static_cast<double>(members.size());
+        point = whole > 0 && count > 1 ? Vec3(point / whole) : Vec3(plain / count);
+        middle /= count;
+        surface.points[i] = point.cast<float>();
+        // Where the shell is thicker than half the object, or than its radius of curvature, points come out near the
+        // surface again: there is no core.
+        float there = 1;
+        if (thickness > 0) {
+          const double depth = (query.nearest(point, thickness).point - point).norm() / thickness;
+          there = static_cast<float>(std::clamp((depth - ended) / (gone_whole - ended), 0.0, 1.0));
+        }
+        surface.presence[i] = there;
+        surface.areas[i] = static_cast<float>(whole) * there;
+        const int lit = *std::min_element(members.begin(), members.end(), [&](int a, int b) {
+          return (mesh.vertex(a) - middle).squaredNorm() < (mesh.vertex(b) - middle).squaredNorm();
+        });
+        const PreparedLight prepared = texture.prepare(light.at_bottom(lit));
+        Rgb reflection = Rgb::Zero();
+        for (const int v : members) {
+          const Vec2f& at = coordinates[v];
+          surface.power[i] += there * areas[v] * texture.below(at.x(), at.y(), prepared).array().max(0);
+          reflection += texture.below_of_back_light(at.x(), at.y()).array().max(0).min(1);
+        }
+        surface.shell_reflection[i] = reflection / static_cast<float>(count);
       },
       64);
   return surface;
+}
+
+namespace {
+
+// Means of pieces about one, at points within it.
+class PieceMean {
+ public:
+  PieceMean(const VertexBuckets& pieces, const std::vector<Rgb>& values, int own)
+      : pieces_(pieces), values_(values), own_(own), radius_(1.5 * pieces.edge()) {
+    const VertexBuckets::Bucket& bucket = pieces[own];
+    pieces.visit_about(bucket.middle, 3, [&](int other) {
+      if (pieces[other].facing.dot(bucket.facing) > 0 &&
+          (pieces[other].middle - bucket.middle).norm() < radius_ + bucket.radius)
+        about_.push_back(other);
+    });
+  }
+  Rgb at(const Vec3& point) const {
+    Rgb sum = Rgb::Zero();
+    double weights = 0;
+    for (const int other : about_) {
+      const double far = (pieces_[other].middle - point).squaredNorm() / (radius_ * radius_);
+      if (far >= 1) continue;
+      const double weight = pieces_[other].area * (1 - far) * (1 - far);
+      sum += static_cast<float>(weight) * values_[other];
+      weights += weight;
+    }
+    return weights > 0 ? Rgb(sum / static_cast<float>(weights)) : values_[own_];
+  }
+
+ private:
+  const VertexBuckets& pieces_;
+  const std::vector<Rgb>& values_;
+  int own_;
+  double radius_;
+  std::vector<int> about_;
+};
+
+}  // namespace
+
+std::vector<Rgb> at_vertices(const TexturedFrames& frames, const VertexBuckets& pieces,
+                             const std::vector<Rgb>& values) {
+  std::vector<Rgb> result(static_cast<std::size_t>(frames.mesh.vertex_count()));
+  parallel_for(
+      values.size(),
+      [&](std::size_t i) {
+        const PieceMean mean(pieces, values, static_cast<int>(i));
+        for (const int v : pieces[static_cast<int>(i)].members) result[v] = mean.at(frames.mesh.vertex(v));
+      },
+      64);
+  return result;
+}
+
+std::vector<Rgb> at_pieces(const VertexBuckets& pieces, const VertexBuckets& finer, const std::vector<Rgb>& values) {
+  std::vector<Rgb> result(static_cast<std::size_t>(finer.count()));
+  parallel_for(
+      result.size(),
+      [&](std::size_t i) {
+        const VertexBuckets::Bucket& bucket = finer[static_cast<int>(i)];
+        result[i] = PieceMean(pieces, values, pieces.of_vertex(bucket.members.front())).at(bucket.middle);
+      },
+      64);
+  return result;
+}
+
+CoreSurface merged(const CoreSurface& surface, const VertexBuckets& pieces, const VertexBuckets& larger) {
+  const auto n = static_cast<std::size_t>(larger.count());
+  CoreSurface result;
+  result.points.assign(n, Vec3f::Zero());
+  result.areas.assign(n, 0.0f);
+  result.power.assign(n, Rgb::Zero());
+  if (!surface.shell_reflection.empty()) result.shell_reflection.assign(n, Rgb::Zero());
+  std::vector<float> weights(n, 0.0f);
+  for (std::size_t i = 0; i < surface.points.size(); ++i) {
+    const VertexBuckets::Bucket& piece = pieces[static_cast<int>(i)];
+    const int to = larger.of_vertex(piece.members.front());
+    const float weight = surface.areas[i] + 1e-6f * static_cast<float>(piece.area);
+    weights[to] += weight;
+    result.points[to] += weight * surface.points[i];
+    result.areas[to] += surface.areas[i];
+    result.power[to] += surface.power[i];
+    if (!surface.shell_reflection.empty()) result.shell_reflection[to] += weight * surface.shell_reflection[i];
+  }
+  // A larger piece may have lost all of its smaller ones to its neighbours.
+  for (std::size_t i = 0; i < n; ++i) {
+    if (weights[i] > 0) {
+      result.points[i] /= weights[i];
+      if (!surface.shell_reflection.empty())
+        result.shell_reflection[i] = (result.shell_reflection[i] / weights[i]).min(1);
+    } else {
+      result.points[i] = larger[static_cast<int>(i)].middle.cast<float>();
+    }
+  }
+  return result;
 }
 
 CoreDiffusion core_from_fluence(const TexturedFrames& frames, const CoreSurface& surface, double thickness,

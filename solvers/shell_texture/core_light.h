@@ -7,15 +7,28 @@
 #include "solvers/diffusion/fluence_field.h"
 #include "solvers/dipole/core_exchange.h"
 #include "solvers/shell_texture/spread_light.h"
+#include "solvers/shell_texture/vertex_buckets.h"
 
 namespace shellgrid {
 
 // The core's surface, `thickness` mm below the mesh, point by point below its vertices. What passes down through the
 // sample's bottom where it stands there falls on it, per area of the core: so within a white object in even light there
 // is even light, whatever its curvature. Source: [STF §7 step 1].
-// coordinates: texture coordinates of the vertices, texels. Throws: InputError where they do not fit the mesh.
+// coordinates: texture coordinates of the vertices, texels. pieces: one point for each, rather than for each vertex:
+// its vertices share the light of one in their middle, each through its own texel. Throws: InputError where they do not
+// fit the mesh.
 CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
-                         const std::vector<Vec2f>& coordinates, double thickness);
+                         const std::vector<Vec2f>& coordinates, double thickness,
+                         const VertexBuckets* pieces = nullptr);
+
+// Values of pieces at the vertices: the mean of the pieces that face the same way within 1½ edges, by area and
+// nearness.
+std::vector<Rgb> at_vertices(const TexturedFrames& frames, const VertexBuckets& pieces, const std::vector<Rgb>& values);
+// The same in the middles of finer pieces.
+std::vector<Rgb> at_pieces(const VertexBuckets& pieces, const VertexBuckets& finer, const std::vector<Rgb>& values);
+
+// A core's surface in pieces as one in larger pieces.
+CoreSurface merged(const CoreSurface& surface, const VertexBuckets& pieces, const VertexBuckets& larger);
 
 // The core's light from a solved diffusion of the whole object.
 struct CoreDiffusion {

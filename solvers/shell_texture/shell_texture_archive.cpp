@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 #include "meshing/shell/filled_box.h"
 
 namespace shellgrid {
@@ -113,7 +114,12 @@ VdbArchive archive_shell_texture(const ShellTexture& t) {
   return archive;
 }
 
-ShellTexture restore_shell_texture(const VdbArchive& archive) {
+std::vector<std::string> shell_texture_grids(ShellTextureParts parts) {
+  if (parts == ShellTextureParts::all) return {};
+  return {"matter", "below", "kernel"};
+}
+
+ShellTexture restore_shell_texture(const VdbArchive& archive, ShellTextureParts parts) {
   const auto entry = archive.metadata.find("kind");
   if (entry == archive.metadata.end() || entry->second != kind)
     throw InputError(archive.path + ": not a shell texture function as sg-irradiance writes it");
@@ -137,28 +143,36 @@ ShellTexture restore_shell_texture(const VdbArchive& archive) {
         }
   };
   t.matter.resize(voxels);
-  t.single.resize(count * voxels);
-  t.multiple.resize((count + 1) * voxels);
-  t.error.resize((count + 1) * voxels);
   read(archive.get<float>("matter"), [&](std::size_t v, float value) { t.matter[v] = value; });
-  read(archive.get<float>("error"), [&](std::size_t v, float value) {
-    for (int l = 0; l <= count; ++l) t.error[t.at(l, v)] = value;
-  });
   const auto checked = [&](const std::string& name, const Vec3f& value) {
     if (!value.allFinite() || (value.array() < 0).any())
       throw InputError(fmt::format("{}: a value of {} is negative or not finite", archive.path, name));
     return value;
   };
-  const auto colours = [&](const char* part, int l, std::vector<Vec3f>& to) {
-    const std::string name = name_of(part, l, count);
-    read(archive.get<Vec3f>(name), [&](std::size_t v, const Vec3f& value) { to[t.at(l, v)] = checked(name, value); });
-  };
   t.below.resize(t.texel_count() * (count + 1));
   read(
       archive.get<Vec3f>("below"), [&](std::size_t k, const Vec3f& value) { t.below[k] = checked("below", value); },
       count + 1);
-  for (int l = 0; l < count; ++l) colours("single", l, t.single);
-  for (int l = 0; l <= count; ++l) colours("multiple", l, t.multiple);
+  if (parts == ShellTextureParts::all) {
+    t.single.resize(count * voxels);
+    t.multiple.resize((count + 1) * voxels);
+    t.error.resize((count + 1) * voxels);
+    read(archive.get<float>("error"), [&](std::size_t v, float value) {
+      for (int l = 0; l <= count; ++l) t.error[t.at(l, v)] = value;
+    });
+    const auto colours = [&](const char* part, int l, std::vector<Vec3f>& to) {
+      const std::string name = name_of(part, l, count);
+      read(archive.get<Vec3f>(name), [&](std::size_t v, const Vec3f& value) { to[t.at(l, v)] = checked(name, value); });
+    };
+    parallel_for(
+        static_cast<std::size_t>(count + 1),
+        [&](std::size_t k) {
+          const int l = static_cast<int>(k);
+          if (l < count) colours("single", l, t.single);
+          colours("multiple", l, t.multiple);
+        },
+        1);
+  }
   restore_kernels(archive, t);
   return t;
 }

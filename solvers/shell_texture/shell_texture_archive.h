@@ -13,8 +13,12 @@ namespace shellgrid {
 // `kernel_sizes` (kernels, bands, rings, a ring's width in mm), `kernel_layers`, `kernel_values`. Without loss but for
 // the errors of the single directions.
 VdbArchive archive_shell_texture(const ShellTexture& texture);
+// parts: all of it, or only what passes through the sample's bottom: then `single`, `multiple` and `error` stay empty.
 // Throws: InputError where the archive is not what archive_shell_texture wrote.
-ShellTexture restore_shell_texture(const VdbArchive& archive);
+enum class ShellTextureParts { bottom, all };
+ShellTexture restore_shell_texture(const VdbArchive& archive, ShellTextureParts parts = ShellTextureParts::all);
+// The grids that are needed for them.
+std::vector<std::string> shell_texture_grids(ShellTextureParts parts);  // empty: all there are
 
 // The voxels' centres, coloured as light from straight above lights them; `quality`: the error.
 AttributedMesh view_shell_texture(const ShellTexture& texture);

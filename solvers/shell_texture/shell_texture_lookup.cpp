@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 
 namespace shellgrid {
 namespace {
@@ -167,8 +168,14 @@ class PlainLookup : public ShellTextureLookup {
       throw InputError("shell texture function: its arrays do not have its size");
     light_.resize(voxels * count);
     back_.assign(t.multiple.end() - static_cast<std::ptrdiff_t>(voxels), t.multiple.end());
-    for (int l = 0; l < count; ++l)
-      for (std::size_t v = 0; v < voxels; ++v) light_[v * count + l] = {t.single[t.at(l, v)], t.multiple[t.at(l, v)]};
+    constexpr std::size_t block = 64;  // voxels: their lines stay in the cache from direction to direction
+    parallel_for((voxels + block - 1) / block,
+                 [&](std::size_t b) {
+                   for (int l = 0; l < count; ++l)
+                     for (std::size_t v = b * block; v < std::min(voxels, (b + 1) * block); ++v)
+                       light_[v * count + l] = {t.single[t.at(l, v)], t.multiple[t.at(l, v)]};
+                 },
+                 16);
   }
 
   std::unique_ptr<ShellTextureReader> reader() const override;
@@ -201,6 +208,23 @@ class PlainReader : public ShellTextureReader {
 std::unique_ptr<ShellTextureReader> PlainLookup::reader() const { return std::make_unique<PlainReader>(*this); }
 
 }  // namespace
+
+namespace {
+
+class BottomLookup : public ShellTextureLookup {
+ public:
+  explicit BottomLookup(const ShellTexture& t) : ShellTextureLookup(t) {}
+  std::unique_ptr<ShellTextureReader> reader() const override {
+    throw InternalError("shell texture function: only its bottom was read");
+  }
+  std::size_t bytes() const override { return 0; }
+};
+
+}  // namespace
+
+std::unique_ptr<ShellTextureLookup> look_up_bottom(const ShellTexture& texture) {
+  return std::make_unique<BottomLookup>(texture);
+}
 
 std::unique_ptr<ShellTextureLookup> look_up_as_it_is(const ShellTexture& texture) {
   return std::make_unique<PlainLookup>(texture);

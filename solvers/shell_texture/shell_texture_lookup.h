@@ -102,5 +102,7 @@ class ShellTextureReader {
 
 // The values as they are, in single precision, those of a voxel side by side.
 std::unique_ptr<ShellTextureLookup> look_up_as_it_is(const ShellTexture& texture);
+// Of what passes through its bottom alone: it has no reader.
+std::unique_ptr<ShellTextureLookup> look_up_bottom(const ShellTexture& texture);
 
 }  // namespace shellgrid

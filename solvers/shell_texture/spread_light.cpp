@@ -7,18 +7,34 @@
 #include <map>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 
 namespace shellgrid {
 
 namespace {
 
 constexpr double counted_share = 0.97;  // of a kernel's light
-constexpr int cells_a_radius = 2;
-constexpr double apart = 0.8;  // buckets farther off than so many cells count as wholes
+constexpr int cells_a_radius = 4;
+constexpr int reach = cells_a_radius + 1;
+constexpr double apart = 0.8;   // buckets farther off than so many cells count as wholes
+constexpr double sudden = 0.1;  // of the brightest: a difference within a cell that may be a shadow's
 
-std::uint64_t cell_key(const Vec3i& cell) {
-  const auto part = [](int i) { return static_cast<std::uint64_t>(i + (1 << 20)) & 0x1fffff; };
-  return part(cell.x()) << 42 | part(cell.y()) << 21 | part(cell.z());
+// Kernels of light that enters evenly on a square of that edge, about as on a disc: by the distance to its middle.
+IrradianceKernels spread_out(const IrradianceKernels& kernel, double edge) {
+  constexpr int across = 8;
+  IrradianceKernels result = kernel;
+  for (int row = 0; row < kernel.count() * kernel.bands(); ++row)
+    for (int ring = 0; ring < kernel.rings; ++ring) {
+      const double distance = (ring + 0.5) * kernel.ring;
+      Vec3f sum = Vec3f::Zero();
+      for (int x = 0; x < across; ++x)
+        for (int y = 0; y < across; ++y)
+          sum +=
+              kernel.value(row / kernel.bands(), row % kernel.bands(),
+                           std::hypot(distance + ((x + 0.5) / across - 0.5) * edge, ((y + 0.5) / across - 0.5) * edge));
+      result.values[static_cast<std::size_t>(row) * kernel.rings + ring] = sum / (across * across);
+    }
+  return result;
 }
 
 }  // namespace
@@ -49,54 +65,24 @@ SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels&
   if (kernels.empty()) return;
   if (coordinates.size() != n) throw InputError("the surface's texture coordinates do not have its size");
   if (!kernels.is_sound(sample)) throw InputError("the irradiance kernels do not fit the sample");
-  mean_kernel_ = kernels.merged();
   radius_ = kernels.radius(counted_share);
   edge_ = radius_ / cells_a_radius;
-  areas_.assign(n, 0.0f);
-  for (int f = 0; f < mesh.face_count(); ++f) {
-    const Vec3 a = mesh.corner(f, 0), b = mesh.corner(f, 1), c = mesh.corner(f, 2);
-    const auto third = static_cast<float>((b - a).cross(c - a).norm() / 6);
-    for (int k = 0; k < 3; ++k) areas_[mesh.faces(f, k)] += third;
-  }
-  sort_into_buckets();
-  means_.known = std::vector<std::atomic<const Entry*>>(buckets_.size());
+  areas_ = vertex_areas(mesh);
+  whole_kernels_ = spread_out(kernels, edge_);
+  buckets_ = VertexBuckets(incident.frames(), areas_, edge_);
+  const auto count = static_cast<std::size_t>(buckets_.count());
+  kernel_areas_.resize(count);
+  parallel_for(count, [&](std::size_t b) {
+    std::vector<float> areas(kernels.count(), 0.0f);
+    for (const int v : buckets_[static_cast<int>(b)].members) areas[kernel_of(v)] += areas_[v];
+    for (int k = 0; k < kernels.count(); ++k)
+      if (areas[k] > 0) kernel_areas_[b].emplace_back(k, areas[k]);
+  });
+  means_.known = std::vector<std::atomic<const Entry*>>(count);
+  about_.known = std::vector<std::atomic<const std::vector<int>*>>(count);
+  even_ = std::vector<std::atomic<std::uint8_t>>(count);
+  even_about_ = std::vector<std::atomic<std::uint8_t>>(count);
   spreads_.known = std::vector<std::atomic<const std::vector<std::vector<DirectionWeight>>*>>(n);
-}
-
-void SpreadLight::sort_into_buckets() {
-  const TexturedFrames& frames = incident_.frames();
-  struct Place {
-    std::uint64_t cell;
-    int side, vertex;
-    auto operator<=>(const Place&) const = default;
-  };
-  std::vector<Place> places;
-  for (int v = 0; v < frames.mesh.vertex_count(); ++v) {
-    const Vec3i cell = (frames.mesh.vertex(v) / edge_).array().floor().cast<int>();
-    const Vec3 normal = frames.normals.row(v).transpose();
-    int axis = 0;
-    normal.cwiseAbs().maxCoeff(&axis);
-    places.push_back({cell_key(cell), 2 * axis + (normal[axis] > 0), v});
-  }
-  std::sort(places.begin(), places.end());
-  for (std::size_t k = 0; k < places.size(); ++k) {
-    if (k == 0 || places[k].cell != places[k - 1].cell || places[k].side != places[k - 1].side) {
-      cells_.emplace_back(places[k].cell, static_cast<int>(buckets_.size()));
-      buckets_.emplace_back();
-    }
-    buckets_.back().members.push_back(places[k].vertex);
-  }
-  for (Bucket& bucket : buckets_) {
-    for (const int v : bucket.members) {
-      const auto area = static_cast<double>(areas_[v]);
-      bucket.area += area;
-      bucket.middle += area * frames.mesh.vertex(v);
-      bucket.facing += area * frames.normals.row(v).transpose();
-    }
-    bucket.middle = bucket.area > 0 ? Vec3(bucket.middle / bucket.area) : frames.mesh.vertex(bucket.members.front());
-    for (const int v : bucket.members)
-      bucket.radius = std::max(bucket.radius, (frames.mesh.vertex(v) - bucket.middle).norm());
-  }
 }
 
 const SpreadLight::Entry& SpreadLight::entry(int vertex) const {
@@ -150,6 +136,73 @@ const SpreadLight::Entry& SpreadLight::mean_of(int bucket) const {
   });
 }
 
+int SpreadLight::kernel_of(int vertex) const {
+  const auto wrapped = [](float place, int n) {
+    const int i = static_cast<int>(std::floor(place)) % n;
+    return i < 0 ? i + n : i;
+  };
+  const Vec2f& at = coordinates_[vertex];
+  return kernels_
+      .of_texel[static_cast<std::size_t>(wrapped(at.y(), sample_.y())) * sample_.x() + wrapped(at.x(), sample_.x())];
+}
+
+const std::vector<int>& SpreadLight::about(int index) const {
+  return about_.get(index, [&] {
+    const VertexBuckets::Bucket& bucket = buckets_[index];
+    std::vector<int> list;
+    buckets_.visit_about(bucket.middle, reach, [&](int other) {
+      if ((buckets_[other].middle - bucket.middle).norm() - buckets_[other].radius - bucket.radius <= radius_)
+        list.push_back(other);
+    });
+    return list;
+  });
+}
+
+bool SpreadLight::is_even(int index) const {
+  if (const std::uint8_t known = even_[index].load(std::memory_order_relaxed)) return known == 2;
+  const VertexBuckets::Bucket& bucket = buckets_[index];
+  const Vec3f own = mean_of(index).irradiance;
+  Vec3f brightest = own;
+  const int bands = kernels_.bands();
+  std::vector<Vec3f> sums(bands, Vec3f::Zero()), lights(bands, Vec3f::Zero());
+  for (const int other : about(index)) {
+    const VertexBuckets::Bucket& about = buckets_[other];
+    if (!(about.facing.dot(bucket.facing) > 0)) continue;
+    const double distance = (about.middle - bucket.middle).norm();
+    if (distance - about.radius > radius_) continue;
+    const Vec3f light = mean_of(other).irradiance;
+    brightest = brightest.cwiseMax(light);
+    for (int band = 0; band < bands; ++band) {
+      Vec3f weight = Vec3f::Zero();
+      for (const auto& [kernel, area] : kernel_areas_[other])
+        weight += area * whole_kernels_.value(kernel, band, distance);
+      sums[band] += weight;
+      lights[band] += weight.cwiseProduct(light);
+    }
+  }
+  bool even = true;
+  const auto differ = [&](const Vec3f& light, double share) {
+    return ((light - own).array().abs() > static_cast<float>(share) * brightest.array()).any();
+  };
+  for (int band = 0; band < bands && even; ++band)
+    even = !differ((sums[band].array() > 0).select(lights[band].array() / sums[band].array().max(1e-30f), own.array()),
+                   0.8 * unevenness);
+  for (std::size_t k = 0; k < bucket.members.size() && even; ++k)
+    even = !differ(entry(bucket.members[k]).irradiance, sudden);
+  even_[index].store(even ? 2 : 1, std::memory_order_relaxed);
+  return even;
+}
+
+bool SpreadLight::is_even_about(int index) const {
+  if (const std::uint8_t known = even_about_[index].load(std::memory_order_relaxed)) return known == 2;
+  bool even = true;
+  buckets_.visit_about(buckets_[index].middle, 1, [&](int other) {
+    even = even && (!(buckets_[other].facing.dot(buckets_[index].facing) > 0) || is_even(other));
+  });
+  even_about_[index].store(even ? 2 : 1, std::memory_order_relaxed);
+  return even;
+}
+
 const std::vector<std::vector<DirectionWeight>>& SpreadLight::spread(int vertex) const {
   static const std::vector<std::vector<DirectionWeight>> none;
   if (kernels_.empty()) return none;
@@ -163,6 +216,7 @@ std::vector<DirectionWeight> SpreadLight::at_bottom(int vertex) const {
 }
 
 std::vector<std::vector<DirectionWeight>> SpreadLight::worked_out(int vertex, int first_band) const {
+  if (is_even_about(buckets_.of_vertex(vertex))) return {};
   const TexturedFrames& frames = incident_.frames();
   const Vec3 point = frames.mesh.vertex(vertex), normal = frames.normals.row(vertex).transpose();
   struct Part {
@@ -173,33 +227,20 @@ std::vector<std::vector<DirectionWeight>> SpreadLight::worked_out(int vertex, in
     float area;
   };
   std::vector<Part> parts;
-  const Vec3i cell = (point / edge_).array().floor().cast<int>();
-  constexpr int reach = cells_a_radius + 1;
-  for (int x = -reach; x <= reach; ++x)
-    for (int y = -reach; y <= reach; ++y) {
-      const std::uint64_t first = cell_key(cell + Vec3i(x, y, -reach)), last = cell_key(cell + Vec3i(x, y, reach));
-      for (auto at = std::lower_bound(cells_.begin(), cells_.end(), std::pair(first, 0));
-           at != cells_.end() && at->first <= last; ++at) {
-        const Bucket& bucket = buckets_[at->second];
-        if (!(bucket.facing.dot(normal) > 0)) continue;
-        const double distance = (bucket.middle - point).norm();
-        if (distance - bucket.radius > radius_) continue;
-        if (distance > apart * edge_ + bucket.radius) {
-          parts.push_back({&mean_of(at->second), &mean_kernel_, 0, distance, static_cast<float>(bucket.area)});
-          continue;
-        }
-        for (const int v : bucket.members) {
-          const auto wrapped = [](float place, int n) {
-            const int i = static_cast<int>(std::floor(place)) % n;
-            return i < 0 ? i + n : i;
-          };
-          const std::size_t texel = static_cast<std::size_t>(wrapped(coordinates_[v].y(), sample_.y())) * sample_.x() +
-                                    wrapped(coordinates_[v].x(), sample_.x());
-          parts.push_back(
-              {&entry(v), &kernels_, kernels_.of_texel[texel], (frames.mesh.vertex(v) - point).norm(), areas_[v]});
-        }
-      }
+  for (const int index : about(buckets_.of_vertex(vertex))) {
+    const VertexBuckets::Bucket& bucket = buckets_[index];
+    if (!(bucket.facing.dot(normal) > 0)) continue;
+    const double distance = (bucket.middle - point).norm();
+    if (distance - bucket.radius > radius_) continue;
+    if (distance > apart * edge_ + bucket.radius) {
+      for (const auto& [kernel, area] : kernel_areas_[index])
+        parts.push_back({&mean_of(index), &whole_kernels_, kernel, distance, area});
+      continue;
     }
+    for (const int v : bucket.members) {
+      parts.push_back({&entry(v), &kernels_, kernel_of(v), (frames.mesh.vertex(v) - point).norm(), areas_[v]});
+    }
+  }
   const Entry& own = entry(vertex);
   Vec3f brightest = own.irradiance;
   for (const Part& part : parts) brightest = brightest.cwiseMax(part.entry->irradiance);

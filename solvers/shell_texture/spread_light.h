@@ -7,7 +7,7 @@
 #include <mutex>
 #include <vector>
 
-#include "solvers/shell_texture/incident_light.h"
+#include "solvers/shell_texture/vertex_buckets.h"
 
 namespace shellgrid {
 
@@ -46,27 +46,24 @@ class SpreadLight {
     std::vector<DirectionWeight> light;
     Vec3f irradiance = Vec3f::Zero();
   };
-  // Vertices near each other that face the same way.
-  struct Bucket {
-    std::vector<int> members;
-    Vec3 middle = Vec3::Zero();
-    Vec3 facing = Vec3::Zero();
-    double area = 0, radius = 0;
-  };
   const Entry& entry(int vertex) const;
   const Entry& mean_of(int bucket) const;
   std::vector<std::vector<DirectionWeight>> worked_out(int vertex, int first_band) const;
-  void sort_into_buckets();
+  // Whether light is even all about a bucket, as told by its own and its neighbours' means.
+  bool is_even_about(int bucket) const;
+  bool is_even(int bucket) const;
+  int kernel_of(int vertex) const;
+  const std::vector<int>& about(int bucket) const;  // the buckets of which light may reach its matter
 
   const IncidentLight& incident_;
-  const IrradianceKernels& kernels_;
+  IrradianceKernels kernels_;
   Vec3i sample_;
   const std::vector<Vec2f>& coordinates_;
-  IrradianceKernels mean_kernel_;
-  double radius_ = 0, edge_ = 0;  // of what counts, mm; of the buckets' cells, mm
-  std::vector<float> areas_;      // of vertices, mm²
-  std::vector<Bucket> buckets_;
-  std::vector<std::pair<std::uint64_t, int>> cells_;  // sorted: cell and bucket
+  IrradianceKernels whole_kernels_;  // of light that enters all over a bucket
+  double radius_ = 0, edge_ = 0;     // of what counts, mm; of the buckets' cells, mm
+  std::vector<float> areas_;         // of vertices, mm²
+  VertexBuckets buckets_;
+  std::vector<std::vector<std::pair<int, float>>> kernel_areas_;  // of buckets: kernels and their areas, mm²
   template <class T>
   struct Lazy {
     mutable std::vector<std::atomic<const T*>> known;
@@ -77,6 +74,8 @@ class SpreadLight {
     const T& get(int index, const Make& make) const;
   };
   Lazy<Entry> entries_, means_;
+  Lazy<std::vector<int>> about_;
+  mutable std::vector<std::atomic<std::uint8_t>> even_, even_about_;  // of buckets: 0 unknown, 1 uneven, 2 even
   Lazy<std::vector<std::vector<DirectionWeight>>> spreads_;
   mutable std::atomic<std::int64_t> spread_vertices_{0};
 };

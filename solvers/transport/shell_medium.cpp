@@ -187,8 +187,31 @@ class MatterList {
 
 }  // namespace
 
+void check_shell_materials(const ShellVolume& shell) {
+  check_transport_material(shell.core);
+  parallel_for(
+      static_cast<std::size_t>(shell.extinction.leaf_count()),
+      [&](std::size_t l) {
+        const int leaf = static_cast<int>(l);
+        for (int offset = 0; offset < 512; ++offset) {
+          if (!shell.extinction.mask_test(shell.extinction.leaf_mask(leaf), offset)) continue;
+          const Material material{shell.extinction.leaf_values(leaf)[offset].array(),
+                                  shell.albedo.leaf_values(leaf)[offset].array(),
+                                  shell.anisotropy.leaf_values(leaf)[offset].array()};
+          naming("shell", [&] { check_transport_material(material); });
+        }
+      },
+      16);
+}
+
+std::vector<Vec3i> free_voxels_of(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside) {
+  bool any = false;
+  shell.kind.for_each_active([&](int, int, int, std::int32_t kind) { any = any || kind == 0; });
+  return any ? Sources(shell, inside).free_voxels() : std::vector<Vec3i>();
+}
+
 ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside,
-                         std::vector<Vec3i>* free_voxels, const LeafMethod* method, bool leaps)
+                         std::vector<Vec3i>* free_voxels, const LeafMethod* method)
     : voxel_(shell.frame.voxel), per_voxel_(1 / shell.frame.voxel) {
   check_transport_material(shell.core);
   const Sources sources(shell, inside);
@@ -272,7 +295,7 @@ ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(cons
   for (int index = 0; index < grid.leaf_count(); ++index)
     leaf_corners.push_back(8 * (grid.leaf_coordinate(index) - grid.lower_leaf()));
   leaps_of_matter_.assign(materials.size(), -1);
-  if (leaps) prepare_leaps(materials, leaf_corners);
+  prepare_leaps(materials, leaf_corners);
   thin_ = !method && methods_.delta > 0 && majorant_ * voxel_ < thin_collisions && least_mean > mild * majorant_;
   methods_.one_majorant = thin_;
   methods_.without_leaf = top_.size() - leaves_.size();

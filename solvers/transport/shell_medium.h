@@ -29,16 +29,22 @@ struct LeafMethodCounts {
   bool one_majorant = false;  // so thin that one majorant serves all
 };
 
+// Throws: InputError where a voxel or the core has coefficients that no matter has.
+void check_shell_materials(const ShellVolume& shell);
+
+// Voxels that are not matter but space, for the surface of free space: the shell's, and beyond the outer surface those
+// above them. `inside`: whether a point lies within the outer surface.
+std::vector<Vec3i> free_voxels_of(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside);
+
 // Voxel (i, j, k) fills the cube about its sample. Where there is none the core is. Voxels just outside the object, and
 // free ones that touch matter, have the matter of their nearest neighbour: the surfaces, not the voxels, say where
 // light meets matter.
 class ShellMedium {
  public:
-  // Voxels that are not matter but space, for the surface of free space: the shell's, and beyond the outer surface
-  // those above them. `inside`: whether a point lies within the outer surface. method: nothing, or one that all leaves
-  // take. leaps: whether paths will ask for them. Throws: InputError for coefficients that no matter has.
+  // free_voxels: to be free_voxels_of the shell, or null. method: nothing, or one that all leaves take. Throws:
+  // InputError for coefficients that no matter has.
   ShellMedium(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside,
-              std::vector<Vec3i>* free_voxels = nullptr, const LeafMethod* method = nullptr, bool leaps = true);
+              std::vector<Vec3i>* free_voxels = nullptr, const LeafMethod* method = nullptr);
 
   const LeafMethodCounts& methods() const { return methods_; }
 

@@ -23,27 +23,42 @@ ClearanceGrid surface_clearance(const TriangleMesh& outer, const TriangleMesh& f
 
 }  // namespace
 
-TransportObject::TransportObject(const TriangleMesh& mesh, const Material& material, double ior)
-    : mesh_(mesh), ior_(ior), medium_(HomogeneousMedium(material)) {
+TransportObject::TransportObject(const TriangleMesh& mesh, double ior)
+    : mesh_(mesh), ior_(ior), medium_(HomogeneousMedium(Material())) {
   if (!(ior >= 1) || !std::isfinite(ior)) throw InputError("the refractive index must be at least 1");
   surface_ = std::make_unique<TransportSurface>(mesh_, TriangleMesh());
+}
+
+TransportObject::TransportObject(const TriangleMesh& mesh, const Material& material, double ior)
+    : TransportObject(mesh, ior) {
+  medium_ = HomogeneousMedium(material);
   clearance_ = surface_clearance(mesh_, TriangleMesh());
   distance_ = std::make_unique<SurfaceDistance>(std::vector<TriangleMesh>{mesh_});
 }
 
+void TransportObject::set_free_space(const GridFrame& frame, const std::vector<Vec3i>& voxels) {
+  free_space_ = voxel_boundary(frame, voxels);
+  if (free_space_.face_count() > 0) surface_ = std::make_unique<TransportSurface>(mesh_, free_space_);
+}
+
 TransportObject::TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior,
-                                 const LeafMethod* method, bool leaps)
-    : mesh_(mesh), ior_(ior), medium_(HomogeneousMedium(Material())) {
-  if (!(ior >= 1) || !std::isfinite(ior)) throw InputError("the refractive index must be at least 1");
-  surface_ = std::make_unique<TransportSurface>(mesh_, TriangleMesh());
+                                 const LeafMethod* method)
+    : TransportObject(mesh, ior) {
   const auto inside = [this](const Vec3& point) { return contains(point); };
   std::vector<Vec3i> free_voxels;
-  medium_ = shell.core_interpolated ? ShellMedium(with_core_voxels(shell, inside), inside, &free_voxels, method, leaps)
-                                    : ShellMedium(shell, inside, &free_voxels, method, leaps);
-  free_space_ = voxel_boundary(shell.frame, free_voxels);
-  if (free_space_.face_count() > 0) surface_ = std::make_unique<TransportSurface>(mesh_, free_space_);
+  medium_ = shell.core_interpolated ? ShellMedium(with_core_voxels(shell, inside), inside, &free_voxels, method)
+                                    : ShellMedium(shell, inside, &free_voxels, method);
+  set_free_space(shell.frame, free_voxels);
   clearance_ = surface_clearance(mesh_, free_space_);
   distance_ = std::make_unique<SurfaceDistance>(std::vector<TriangleMesh>{mesh_, free_space_});
+}
+
+TransportObject TransportObject::of_surfaces(const TriangleMesh& mesh, const ShellVolume& shell, double ior) {
+  TransportObject object(mesh, ior);
+  check_shell_materials(shell);
+  object.set_free_space(shell.frame,
+                        free_voxels_of(shell, [&object](const Vec3& point) { return object.contains(point); }));
+  return object;
 }
 
 bool TransportObject::contains(const Vec3& point, SurfaceKind surface) const {

@@ -21,10 +21,11 @@ class TransportObject {
   TransportObject(const TriangleMesh& mesh, const Material& material, double ior);
 
   // A shell of voxels over its core, which is homogeneous or, interpolated, made of voxels too. Where the shell has
-  // free space, the surface of that is the object's, too. `method`: nothing, or one for all leaves; `leaps`: whether
-  // paths will go through it, or rays of sight only. Throws: InputError.
-  TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior, const LeafMethod* method = nullptr,
-                  bool leaps = true);
+  // free space, the surface of that is the object's, too. `method`: nothing, or one for all leaves. Throws: InputError.
+  TransportObject(const TriangleMesh& mesh, const ShellVolume& shell, double ior, const LeafMethod* method = nullptr);
+
+  // The surfaces alone, for rays of sight: no `medium`, no `body`. Throws: InputError.
+  static TransportObject of_surfaces(const TriangleMesh& mesh, const ShellVolume& shell, double ior);
 
   const TriangleMesh& mesh() const { return mesh_; }
   const TriangleMesh& free_space() const { return free_space_; }  // its surface; no faces where there is none
@@ -42,6 +43,9 @@ class TransportObject {
   }
 
  private:
+  TransportObject(const TriangleMesh& mesh, double ior);
+  void set_free_space(const GridFrame& frame, const std::vector<Vec3i>& voxels);
+
   TriangleMesh mesh_, free_space_;
   double ior_;
   TransportMedium medium_;

@@ -54,6 +54,53 @@ TEST(CoreExchange, SumsTheProfileOverTheCore) {
   EXPECT_EQ(exchange.bounces, 0);
 }
 
+// Lit from one side: what goes to and fro may be summed over fewer points.
+TEST(CoreExchange, BouncesOverFewerPoints) {
+  const auto lit = [](CoreSurface surface) {
+    for (std::size_t i = 0; i < surface.points.size(); ++i) {
+      surface.power[i] *= std::max(0.0f, surface.points[i].z() / 15);
+      surface.shell_reflection.push_back(Rgb(0.2f, 0.5f, 0.8f));
+    }
+    return surface;
+  };
+  const CoreSurface surface = lit(sphere(8000, 15));
+  const auto channels = of(0.02);
+  const RadialProfile profile =
+      dipole_profile(channels, std::sqrt(static_cast<double>(surface.areas[0]) / std::numbers::pi));
+  CoarserCore coarser{lit(sphere(1000, 15)), nullptr, nullptr};
+  const RadialProfile coarse_profile =
+      dipole_profile(channels, std::sqrt(static_cast<double>(coarser.surface.areas[0]) / std::numbers::pi));
+  coarser.profile = &coarse_profile;
+  coarser.at_points = [&](const std::vector<Rgb>& values) {
+    std::vector<Rgb> result;
+    for (const Vec3f& point : surface.points) {
+      Rgb sum = Rgb::Zero();
+      float weights = 0;
+      for (std::size_t k = 0; k < values.size(); ++k) {
+        const float weight = std::max(0.0f, 1 - (coarser.surface.points[k] - point).norm() / 2);
+        sum += weight * values[k];
+        weights += weight;
+      }
+      result.push_back(sum / weights);
+    }
+    return result;
+  };
+  CoreExchangeOptions options;
+  const CoreExchange whole = exchange_core_light(surface, profile, options);
+  options.coarser = &coarser;
+  const CoreExchange parted = exchange_core_light(surface, profile, options);
+  EXPECT_GT(parted.bounces, 2);
+  EXPECT_LT(parted.evaluations, whole.evaluations / 2);
+  double wrong = 0, missing = 0, all = 0;
+  for (std::size_t i = 0; i < surface.points.size(); ++i) {
+    wrong += static_cast<double>((parted.exitance[i] - whole.exitance[i]).square().sum());
+    missing += static_cast<double>((whole.first[i] - whole.exitance[i]).square().sum());
+    all += static_cast<double>(whole.exitance[i].square().sum());
+  }
+  EXPECT_LT(std::sqrt(wrong / all), 0.02);
+  EXPECT_GT(std::sqrt(missing / all), 0.1);  // of bounces that are there
+}
+
 TEST(CoreExchange, FollowsBouncesToTheirSum) {
   CoreSurface surface = sphere(6000, 15);
   surface.shell_reflection.assign(surface.points.size(), Rgb(0.2f, 0.6f, 0.9f));

@@ -48,7 +48,7 @@ struct Ball {
                              return test::ShellVoxel{material, 1};
                            });
     shell.ior = ior;
-    object = std::make_unique<TransportObject>(mesh, shell, ior);
+    object = std::make_unique<TransportObject>(TransportObject::of_surfaces(mesh, shell, ior));
     ShellTexture values;
     values.size = Vec3i(2, 2, 8);
     values.voxel = voxel;
@@ -179,6 +179,57 @@ TEST(CoreLight, FallsOnTheCorePerArea) {
   // A shell as thick as the ball leaves no core.
   const CoreSurface none = core_surface(ball.frames(), spread, *ball.texture, ball.coordinates, 1.5 * radius);
   for (const float a : none.areas) EXPECT_EQ(a, 0);
+}
+
+// As much light and area in pieces as at the vertices, and values of pieces that bend gently come back at the vertices.
+TEST(CoreLight, MayStandInPieces) {
+  Ball ball;
+  for (int v = 0; v < ball.mesh.vertex_count(); ++v) ball.coordinates[v] = Vec2f(0.37f * static_cast<float>(v), 0.9f);
+  const SceneGeometry geometry(ball.mesh);
+  const IncidentLight light(ball.frames(), geometry, ball.lights, ball.texture->directions(), 64);
+  const SpreadLight spread(light, {}, ball.texture->size(), ball.coordinates);
+  const VertexBuckets pieces(ball.frames(), vertex_areas(ball.mesh), 6.0);
+  ASSERT_LT(3 * pieces.count(), ball.mesh.vertex_count());
+  const CoreSurface fine = core_surface(ball.frames(), spread, *ball.texture, ball.coordinates, thickness),
+                    core = core_surface(ball.frames(), spread, *ball.texture, ball.coordinates, thickness, &pieces);
+  ASSERT_EQ(core.points.size(), static_cast<std::size_t>(pieces.count()));
+  double areas[2] = {}, powers[2] = {};
+  for (std::size_t v = 0; v < fine.areas.size(); ++v)
+    areas[0] += static_cast<double>(fine.areas[v]), powers[0] += static_cast<double>(fine.power[v][1]);
+  std::vector<Rgb> heights;
+  for (int i = 0; i < pieces.count(); ++i) {
+    areas[1] += static_cast<double>(core.areas[i]), powers[1] += static_cast<double>(core.power[i][1]);
+    EXPECT_NEAR(core.shell_reflection[i][0], returned, 1e-6);
+    for (const int v : pieces[i].members) EXPECT_EQ(pieces.of_vertex(v), i);
+    heights.push_back(Rgb(1, static_cast<float>(pieces[i].middle.z()), 0));
+  }
+  EXPECT_NEAR(areas[1] / areas[0], 1, 1e-5);
+  EXPECT_NEAR(powers[1] / powers[0], 1, 0.02);
+  const std::vector<Rgb> values = at_vertices(ball.frames(), pieces, heights);
+  for (int v = 0; v < ball.mesh.vertex_count(); ++v) {
+    EXPECT_NEAR(values[v][0], 1, 1e-5);
+    EXPECT_NEAR(values[v][1], ball.mesh.vertex(v).z(), 2);
+  }
+}
+
+// What rays of sight meet is what light meets.
+TEST(TransportObject, OfSurfacesHasTheSameFreeSpace) {
+  const Ball ball;
+  Material material;
+  material.extinction = Rgb::Constant(0.5f);
+  const ShellVolume shell =
+      test::shell_of([](const Vec3& p) { return p.norm() - radius; }, radius, voxel, thickness, material,
+                     [&](const Vec3& p, double depth) {
+                       return test::ShellVoxel{material, depth < 1.2 && p.x() > 10 ? 0 : 1};
+                     });
+  const TransportObject whole(ball.mesh, shell, ior), seen = TransportObject::of_surfaces(ball.mesh, shell, ior);
+  ASSERT_GT(whole.free_space().face_count(), 100);
+  EXPECT_EQ(seen.free_space().vertices, whole.free_space().vertices);
+  EXPECT_EQ(seen.free_space().faces, whole.free_space().faces);
+  ShellVolume wrong = shell;
+  for (int leaf = 0; leaf < wrong.albedo.leaf_count(); ++leaf)
+    for (int k = 0; k < 512; ++k) wrong.albedo.leaf_values(leaf)[k] = Vec3f::Constant(2);
+  EXPECT_THROW(TransportObject::of_surfaces(ball.mesh, wrong, ior), InputError);
 }
 
 // A fluence that falls along z, in one hexahedron about the ball: what goes outwards, and what comes in.
