@@ -44,6 +44,7 @@ struct Deposits {
   }
   void collided(const SlabPath&) { scattered = true; }
   void mirrored() {}
+  void leapt() const {}
   void wrapped(int axis, double width) { shift[axis] += width; }
   void left(const SlabPath& path) const {
     if (path.direction.z() > 0) add(kernels.bottom(), path.point.x(), path.point.y(), path.weight);

@@ -96,6 +96,7 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
   spread_indices(volume);
   if (flat_) {
     share_.assign(n, 1.0f);
+    leaps_ = SlabLeaps(size_, voxel_, matter_, std::vector<char>(n, 1));
     return;
   }
   std::vector<Vec3i> voxels;
@@ -115,6 +116,19 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
   lowest_surface_ = (lowest_free + 1) * voxel_;
   top_ = -voxel_;
   weigh_voxels();
+  // The surface is nowhere farther than a voxel from the free ones.
+  std::vector<char> whole(n, 1);
+  for (std::size_t k = 0; k < n; ++k) {
+    const int z = static_cast<int>(k / texels), y = static_cast<int>(k / size_.x()) % size_.y(),
+              x = static_cast<int>(k) % size_.x();
+    for (int dz = -1; dz <= 1; ++dz)
+      for (int dy = -1; dy <= 1; ++dy)
+        for (int dx = -1; dx <= 1; ++dx)
+          if (z + dz < 0 || volume.free[volume.index(wrapped(x + dx, size_.x()), wrapped(y + dy, size_.y()),
+                                                     std::min(z + dz, size_.z() - 1))])
+            whole[k] = 0;
+  }
+  leaps_ = SlabLeaps(size_, voxel_, matter_, whole);
 }
 
 void PeriodicSlab::spread_indices(const BaseVolume& volume) {

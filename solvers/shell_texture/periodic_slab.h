@@ -5,17 +5,15 @@
 #include <memory>
 #include <vector>
 
-#include "solvers/diffusion/channel_lanes.h"
 #include "solvers/shell_texture/base_volume.h"
+#include "solvers/shell_texture/slab_leaps.h"
 #include "solvers/transport/transport_surface.h"
 
 namespace shellgrid {
 
 class PeriodicSlab {
  public:
-  struct Matter {
-    Float4 extinction = {}, albedo = {}, anisotropy = {};
-  };
+  using Matter = SlabMatter;
 
   // Throws: InputError where arrays do not fit the size, coefficients are none, or all voxels are free space.
   explicit PeriodicSlab(const BaseVolume& volume);
@@ -33,6 +31,7 @@ class PeriodicSlab {
   const Matter& matter(std::size_t voxel_index) const { return matter_[voxel_index]; }
   // Share of each voxel that is matter.
   const std::vector<float>& share() const { return share_; }
+  const SlabLeaps& leaps() const { return leaps_; }
 
   // The nearest meeting with the mesostructure surface not farther than `limit`, from a point with x and y within the
   // tile; `limit` must not reach beyond its sides. x, y, z in mm, z the depth; the normal points out of the matter.
@@ -50,6 +49,7 @@ class PeriodicSlab {
   double lowest_surface_ = 0;  // below it there is matter everywhere
   std::vector<Matter> matter_;
   std::vector<float> share_;
+  SlabLeaps leaps_;
   std::vector<float> iors_;        // per voxel, that of the surface nearest by; none where all is ior_
   std::vector<char> bottom_free_;  // per texel
   std::unique_ptr<TransportSurface> surface_;

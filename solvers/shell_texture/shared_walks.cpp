@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cmath>
+#include <limits>
 
 #include "meshing/core/parallel.h"
 
@@ -13,7 +14,8 @@ constexpr std::size_t walks_a_chunk = 64;
 constexpr std::size_t ranges = 64;  // of receivers, each summed by one task
 constexpr int most_beam_events = 20'000;
 constexpr double dark_depth = 80;
-constexpr float least_tilt = 0.05f;  // of a direction's light at a place over that of all
+constexpr double least_leaping = 0.98;  // share of a layer where leaps are possible, for paths to be split
+constexpr float least_tilt = 0.05f;     // of a direction's light at a place over that of all
 
 // A stretch of a walk, or its end.
 struct Deposit {
@@ -31,6 +33,61 @@ struct BeamPiece {
   Double4 depth;  // before it
 };
 
+// Levels of weight with which about as many paths come to each of them. Of white matter one in about 1 + ¾ τ' paths
+// comes to the reduced optical depth τ'; where light is absorbed none is worth following farther than its diffuse
+// reach. In layers without leaps paths are whole: what splitting saves there in paths it costs in collisions.
+class DepthLevels {
+ public:
+  DepthLevels(const PeriodicSlab& slab, bool upwards) : bottom_(upwards ? slab.depth() : 0), sign_(upwards ? -1 : 1) {
+    const Vec3i& size = slab.size();
+    const std::size_t texels = static_cast<std::size_t>(size.x()) * size.y();
+    leaps_.assign(size.z(), 0);
+    voxel_ = slab.voxel();
+    double depth = 0;
+    for (int k = 0; k < size.z(); ++k) {
+      const std::size_t first = static_cast<std::size_t>(upwards ? size.z() - 1 - k : k) * texels;
+      double reduced = 0, absorbed = 0, leaping = 0;
+      for (std::size_t v = first; v < first + texels; ++v) {
+        const PeriodicSlab::Matter& m = slab.matter(v);
+        const double share = static_cast<double>(slab.share()[v]) / (3 * static_cast<double>(texels));
+        if (slab.leaps().at(v)) leaping += 1 / static_cast<double>(texels);
+        for (int c = 0; c < 3; ++c) {
+          const auto extinction = static_cast<double>(m.extinction[c]), albedo = static_cast<double>(m.albedo[c]);
+          reduced += share * extinction * (1 - albedo * static_cast<double>(m.anisotropy[c]));
+          absorbed += share * extinction * (1 - albedo);
+        }
+      }
+      leaps_[first / texels] = reduced > 0 && leaping >= least_leaping;
+      if (!leaps_[first / texels]) continue;
+      const double most = absorbed > 0 ? std::sqrt(reduced / (3 * absorbed)) : std::numeric_limits<double>::infinity();
+      const double end = depth + reduced * slab.voxel();
+      // Level n begins where 1 + ¾ τ' is 2^(n − ½).
+      for (;;) {
+        const double next = (std::exp2(static_cast<double>(begin_.size()) + 0.5) - 1) / 0.75;
+        if (next > std::min(end, most)) break;
+        begin_.push_back(k * slab.voxel() + std::max(0.0, next - depth) / reduced);
+      }
+      depth = end;
+    }
+  }
+
+  int at(double z, int level) const {
+    if (begin_.empty()) return 0;
+    const auto layer = static_cast<std::ptrdiff_t>(std::max(0.0, z) / voxel_);
+    if (!leaps_[std::min(layer, std::ssize(leaps_) - 1)]) return 0;
+    const double depth = bottom_ + sign_ * z;
+    const auto count = static_cast<int>(begin_.size());
+    while (level < count && depth >= begin_[level]) ++level;
+    while (level > 0 && depth < begin_[level - 1]) --level;
+    return level;
+  }
+
+ private:
+  double bottom_, sign_, voxel_;
+  std::vector<char> leaps_;    // by layer
+  std::vector<double> begin_;  // of each level above the first, mm below where paths begin
+};
+
 class SharedWalks : public IrradianceBatches {
  public:
   SharedWalks(const SlabWalk& walk, const BeamField& field, const LightDirections& directions,
@@ -45,7 +102,9 @@ class SharedWalks : public IrradianceBatches {
         receivers_(field.voxels + field.texels + 1),
         range_((receivers_ + ranges - 1) / ranges),
         lists_((batch_ + walks_a_chunk - 1) / walks_a_chunk),
-        rows_(batch_ * 3 * count_) {
+        rows_(batch_ * 3 * count_),
+        levels_down_(slab_, false),
+        levels_up_(slab_, true) {
     for (int l = 0; l < count_; ++l) inverse_cosine_.push_back(static_cast<float>(1 / directions.direction(l).z()));
   }
 
@@ -64,7 +123,7 @@ class SharedWalks : public IrradianceBatches {
       const double y = slab_.width(1) * fraction(shift_y + 0.5698402909980532 * static_cast<double>(k));
       const int l = static_cast<int>((turn + k) % static_cast<std::uint64_t>(count_));
       walk_.start_above(path, directions_.direction(l), x, y);
-      if (begin(path, rows_.data() + k * 3 * count_)) follow(path, static_cast<std::uint32_t>(k), lists);
+      if (begin(path, rows_.data() + k * 3 * count_)) follow(path, static_cast<std::uint32_t>(k), lists, levels_down_);
     });
     const std::size_t width = 3 * static_cast<std::size_t>(count_);
     sum_ranges([&](std::size_t first, std::size_t end, std::size_t range) {
@@ -98,7 +157,7 @@ class SharedWalks : public IrradianceBatches {
     trace([&](std::uint64_t k, DepositLists& lists) {
       SlabPath path{PathRandom(key, k)};
       walk_.start_below(path);
-      follow(path, static_cast<std::uint32_t>(k), lists);
+      follow(path, static_cast<std::uint32_t>(k), lists, levels_up_);
     });
     const auto area = static_cast<float>(slab_.width(0) * slab_.width(1) * 3 / static_cast<double>(batch_));
     sum_ranges([&](std::size_t first, std::size_t end, std::size_t range) {
@@ -118,7 +177,9 @@ class SharedWalks : public IrradianceBatches {
     const SharedWalks& walks;
     std::uint32_t walk;
     DepositLists& lists;
+    const DepthLevels& levels;
 
+    int level(const SlabPath& path) const { return levels.at(path.point.z(), path.level); }
     void put(std::size_t receiver, const Double4& value) const {
       lists[receiver / walks.range_].push_back(
           {static_cast<std::uint32_t>(receiver),
@@ -128,6 +189,7 @@ class SharedWalks : public IrradianceBatches {
     void way(std::size_t voxel, const Double4& value) const { put(voxel, value); }
     void collided(const SlabPath&) const {}
     void mirrored() const {}
+    void leapt() const {}
     void left(const SlabPath& path) const {
       const BeamField& field = walks.field_;
       put(path.direction.z() > 0 ? field.voxels + walks.slab_.texel_at(path.point) : field.voxels + field.texels,
@@ -135,8 +197,8 @@ class SharedWalks : public IrradianceBatches {
     }
   };
 
-  void follow(SlabPath& path, std::uint32_t walk, DepositLists& lists) const {
-    Visitor visitor{*this, walk, lists};
+  void follow(SlabPath& path, std::uint32_t walk, DepositLists& lists, const DepthLevels& levels) const {
+    Visitor visitor{*this, walk, lists, levels};
     walk_.follow(path, visitor);
   }
 
@@ -274,6 +336,7 @@ class SharedWalks : public IrradianceBatches {
   std::vector<DepositLists> lists_;  // by chunk of walks
   std::vector<float> rows_;          // of each walk: worth by channel and direction
   std::vector<float> inverse_cosine_;
+  DepthLevels levels_down_, levels_up_;
 };
 
 }  // namespace

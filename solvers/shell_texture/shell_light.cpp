@@ -68,10 +68,11 @@ const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
   double sum = 0, weights = 0;
   for (const DirectionWeight& one : made->light.list) {
     const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();
-    sum += weight / refracted_direction(one.direction).z();
+    sum += weight / (1 + 1 / refracted_direction(one.direction).z());
     weights += weight;
   }
-  if (weights > 0) made->way = static_cast<float>(sum / weights);
+  // That of one beam which scatters as much back, straight up, as all these do.
+  if (weights > 0) made->way = static_cast<float>(weights / sum - 1);
   const std::lock_guard lock(mutex_);
   if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
   owned_lights_.push_back(std::move(made));

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "solvers/shell_texture/periodic_slab.h"
 #include "solvers/transport/dielectric.h"
@@ -32,7 +33,10 @@ struct SlabPath {
   bool in_matter = false;
   std::size_t voxel = 0;  // of the last collision
   std::uint64_t events = 0, next_limit = event_limit;
+  int level = 0;  // of its weight: 2^-level of that of a path which was never split
 };
+
+constexpr std::uint64_t slab_leaps_begin = 50;  // events of a path, before its first leap
 
 class SlabWalk {
  public:
@@ -160,14 +164,20 @@ class SlabWalk {
 
   // What a collision leaves of the light goes on in another direction. False: the path ends.
   bool scatter(SlabPath& path) const {
-    const PeriodicSlab::Matter& matter = slab_.matter(path.voxel);
-    path.weight *= to_double(matter.albedo);
-    const double after = lane_sum(path.weight);
-    if (!(after > 0)) return false;
-    double whole = after;
-    if (!survives_faintness(whole, path.random)) return false;
-    path.weight *= whole / after;
+    path.weight *= to_double(slab_.matter(path.voxel).albedo);
+    if (!outlives_faintness(path)) return false;
     turn(path);
+    return true;
+  }
+
+  // By its weight against that of others of its level.
+  static bool outlives_faintness(SlabPath& path) {
+    const double before = lane_sum(path.weight);
+    if (!(before > 0)) return false;
+    const double unsplit = std::ldexp(1.0, path.level);
+    double weight = before * unsplit;
+    if (!survives_faintness(weight, path.random)) return false;
+    path.weight *= weight / (unsplit * before);
     return true;
   }
 
@@ -220,9 +230,27 @@ class SlabWalk {
   //   void collided(const SlabPath&)             with the weights before the albedo takes its share
   //   void mirrored()
   //   void wrapped(int axis, double by)          may be missing: the tile's other side, so far off
-  //   void left(const SlabPath&)                 through the top, or where the direction's z is positive the bottom
+  //   void leapt()                               may be missing: then collisions are taken one by one, wherever they
+  //   are void left(const SlabPath&)                 through the top, or where the direction's z is positive the bottom
   template <class Visitor>
   void follow(SlabPath& path, Visitor& visitor) const {
+    if constexpr (requires { visitor.level(path); }) {
+      thread_local std::vector<SlabPath> others;
+      others.clear();
+      follow(path, visitor, &others);
+      while (!others.empty()) {
+        SlabPath other = others.back();
+        others.pop_back();
+        follow(other, visitor, &others);
+      }
+    } else {
+      follow(path, visitor, nullptr);
+    }
+  }
+
+ private:
+  template <class Visitor>
+  void follow(SlabPath& path, Visitor& visitor, std::vector<SlabPath>* others) const {
     for (;;) {
       if (++path.events >= path.next_limit) {
         if (meet_event_limit(path.events, path.next_limit, path.random) != LimitOutcome::goes_on) return;
@@ -233,7 +261,12 @@ class SlabWalk {
       if (path.in_matter) {
         if (fly(path, exit.distance, [&](std::size_t voxel, const Double4& way) { visitor.way(voxel, way); })) {
           visitor.collided(path);
+          const Vec3 before = path.direction;
           if (!scatter(path)) return;
+          if constexpr (requires { visitor.level(path); })
+            if (!keep_level(path, visitor.level(path), *others)) return;
+          if constexpr (requires { visitor.leapt(); })
+            if (path.events >= slab_leaps_begin && !leap(path, before, visitor)) return;
           continue;
         }
       } else {
@@ -254,7 +287,74 @@ class SlabWalk {
     }
   }
 
- private:
+  // Splits a path that has come to a higher level, and lets one that has come down two levels or more go on by chance.
+  // False: it ends.
+  static bool keep_level(SlabPath& path, int level, std::vector<SlabPath>& others) {
+    if (level > path.level) {
+      const int copies = 1 << std::min(level - path.level, most_split);
+      path.level += std::min(level - path.level, most_split);
+      path.weight *= 1.0 / copies;
+      for (int k = 1; k < copies; ++k) {
+        others.push_back(path);
+        others.back().random = PathRandom(path.random.next_bits(), static_cast<std::uint64_t>(k));
+      }
+    } else if (level + 1 < path.level) {
+      const double fewer = std::ldexp(1.0, path.level - level - 1);
+      if (path.random.next() * fewer >= 1) return false;
+      path.weight *= fewer;
+      path.level = level + 1;
+    }
+    return true;
+  }
+  static constexpr int most_split = 4;  // levels at once
+
+  // After a collision in homogeneous matter many at once, where nothing else is near. False: the path ends.
+  template <class Visitor>
+  bool leap(SlabPath& path, const Vec3& before, Visitor& visitor) const {
+    const SlabLeaps& all = slab_.leaps();
+    const ChannelLeaps* leaps = all.at(path.voxel);
+    if (!leaps) return true;
+    constexpr bool tells_tiles = requires { visitor.wrapped(0, 0.0); };
+    double clearance = all.clearance(path.voxel, path.point);
+    for (int axis = 0; axis < 2; ++axis) {
+      const double width = slab_.width(axis);
+      // Over one side, and not round.
+      clearance = std::min(clearance, tells_tiles ? std::min(path.point[axis], width - path.point[axis]) : width);
+    }
+    const double radius = leaps->radius(clearance, path.weight);
+    if (!(radius > 0) || !scattered_evenly(leaps->anisotropy, before.dot(path.direction), path.random)) return true;
+    const Double4 weight = path.weight;
+    for (int c = 0; c < 3; ++c) {
+      if (!(weight[c] > 0)) continue;
+      Double4 way = {};
+      const DiffuseLeap& one = leaps->channel[c];
+      way[c] = weight[c] * one.length(radius);
+      const Vec3 place = path.point + one.place(radius, path.random) * even_direction(path.random);
+      visitor.way(voxel_at(place), way);
+    }
+    path.weight -= weight * leaps->loss(radius);
+    if (!outlives_faintness(path)) return false;
+    path.point += radius * even_direction(path.random);
+    for (int axis = 0; axis < 2; ++axis) {
+      const double width = slab_.width(axis);
+      if (path.point[axis] < 0)
+        path.point[axis] += width;
+      else if (path.point[axis] >= width)
+        path.point[axis] -= width;
+    }
+    path.direction = even_direction(path.random);
+    visitor.leapt();
+    return true;
+  }
+
+  std::size_t voxel_at(const Vec3& point) const {
+    const Vec3i& size = slab_.size();
+    int at[3];
+    for (int axis = 0; axis < 3; ++axis) at[axis] = static_cast<int>(std::floor(point[axis] / slab_.voxel()));
+    for (int axis = 0; axis < 2; ++axis) at[axis] = ((at[axis] % size[axis]) + size[axis]) % size[axis];
+    return (static_cast<std::size_t>(std::clamp(at[2], 0, size.z() - 1)) * size.y() + at[1]) * size.x() + at[0];
+  }
+
   const PeriodicSlab& slab_;
 };
 

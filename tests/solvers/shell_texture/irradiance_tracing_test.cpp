@@ -223,6 +223,70 @@ TEST(IrradianceTracing, StandardErrorsTellHowFarValuesAreOff) {
   }
 }
 
+// Walks that leap and are split, beside paths that do neither: in a dense slab of white matter under one that absorbs a
+// little, with a block of other matter, flat or bumpy.
+TEST(IrradianceTracing, LeapsThroughDenseMatterAsStepsDo) {
+  for (const bool bumps : {false, true}) {
+    BaseVolume v = layer({4, 4, 6}, Vec3f::Constant(32), Vec3f::Constant(0.9995f), 0.4f, 1.2);
+    for (std::size_t k = 48; k < v.voxel_count(); ++k) v.albedo[k] = Vec3f::Ones();
+    for (const std::size_t k : {21, 22, 37}) v.extinction[k] = Vec3f::Constant(20);
+    if (bumps) v.free[0] = v.free[1] = v.free[5] = 1;
+    IrradianceOptions options;
+    options.directions = {2, 1};
+    options.paths = 400;
+    const ShellTexture leaping = trace_irradiance(v, options);
+    options.estimator = IrradianceEstimator::track_length;
+    options.paths = 200;
+    const ShellTexture stepping = trace_irradiance(v, options);
+    int sharp = 0;
+    for (int l = 0; l <= options.directions.count(); ++l)
+      for (int z = 0; z < 6; ++z) {
+        double sum = 0, of = 0, square = 0;
+        int count = 0;
+        for (std::size_t k = 16 * z; k < 16u * z + 16; ++k) {
+          if (v.free[k]) continue;
+          ++count;
+          sum += static_cast<double>(leaping.multiple[leaping.at(l, k)].sum());
+          of += static_cast<double>(stepping.multiple[stepping.at(l, k)].sum());
+          square += std::pow(static_cast<double>(leaping.error[leaping.at(l, k)]), 2) +
+                    std::pow(static_cast<double>(stepping.error[stepping.at(l, k)]), 2);
+        }
+        const double error = std::sqrt(square / count);  // as if a layer's voxels were all off together
+        std::printf("bumps %d, direction %d, layer %d: %.3f, errors %.3f\n", bumps, l, z, sum / of, error);
+        EXPECT_NEAR(sum / of, 1, 2.5 * error) << bumps << ' ' << l << ' ' << z;
+        if (error < 0.1) ++sharp;
+      }
+    EXPECT_GE(sharp, 2);
+  }
+}
+
+// A slab of ten thousands of mean free paths in a moment: a linear fall, from the surface to its open bottom.
+TEST(IrradianceTracing, WhiteMatterOfAnyDensityLetsLightFallLinearly) {
+  const int layers = 5;
+  for (const float extinction : {60.0f, 1e4f}) {
+    const BaseVolume v = layer({3, 2, layers}, Vec3f::Constant(extinction), Vec3f::Ones(), 0, 1);
+    IrradianceOptions options;
+    options.directions = {1, 1};
+    options.paths = 1200;
+    const ShellTexture t = trace_irradiance(v, options);
+    std::vector<double> ratio(layers, 0.0);
+    double mean = 0;
+    for (int z = 0; z < layers; ++z) {
+      for (std::size_t k = 6 * z; k < 6u * z + 6; ++k)
+        ratio[z] += static_cast<double>(t.multiple[t.at(t.directions.back(), k)].sum()) / 18;
+      // Twice the power at the bottom, none at the top, beyond both by 0.71 paths.
+      const double depth = static_cast<double>(extinction) * 0.5 * layers,
+                   from_top = static_cast<double>(extinction) * 0.5 * (z + 0.5);
+      ratio[z] /= 2 * (from_top + 0.7104) / (depth + 2 * 0.7104);
+      std::printf("%g /mm, layer %d: %.4f of diffusion's\n", static_cast<double>(extinction), z, ratio[z]);
+      mean += ratio[z] / layers;
+    }
+    // About a thousand walks; from level to level one in two goes on, which leaves √(14/1000) of noise in all layers.
+    EXPECT_NEAR(mean, 1, 0.3);
+    for (const double r : ratio) EXPECT_NEAR(r / mean, 1, 0.1);
+  }
+}
+
 TEST(IrradianceTracing, ServesAnyMatterOrSaysWhyNot) {
   for (const double extinction : {1e-4, 1e4})
     for (const float albedo : {0.0f, 1.0f})
