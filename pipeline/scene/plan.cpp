@@ -189,6 +189,8 @@ void require_one_sample(const Scene& scene) {
     fail("has a homogeneous core; expected coefficients or bottom-layer as material.core");
 }
 
+constexpr float mostly_absorbed = 0.3f;  // reduced albedo below which what is scattered twice hardly counts
+
 // Where the method's assumptions fail: light that crosses the shell unscattered, and objects that are little more than
 // shell. Empty: they hold, or what would tell cannot be read. Source: [STF §5.2, §8].
 std::string warn_of_shell_texture(const Scene& scene) {
@@ -206,6 +208,17 @@ std::string warn_of_shell_texture(const Scene& scene) {
                  "function expects 3, so that hardly any light crosses it unscattered",
                  shell.thickness, depth) +
              instead;
+    double decay = 0;  // mm⁻¹
+    for (const Material& m : materials) {
+      const Rgb transport = (m.reduced_albedo() > mostly_absorbed).select(m.transport_coefficient(), Rgb::Zero());
+      decay = std::max(decay, static_cast<double>(transport.maxCoeff()));
+    }
+    if (decay * shell.voxel > 1)
+      return fmt::format(
+          "its voxels of {:g} mm are {:.2g} diffuse mean free paths wide in its densest matter; the shell "
+          "texture function holds one value a voxel and comes out dark there; take material.shell.voxel below "
+          "{:.2g} mm",
+          shell.voxel, decay * shell.voxel, 1 / decay);
     const double chord = PlacedMesh(*scene.object).mean_chord();
     if (chord > 0 && chord < 4 * shell.thickness)
       return fmt::format(

@@ -137,7 +137,7 @@ CoreShine diffusion_shine(const CoreSurface& core, const ShellVolume& shell, con
 int main(int argc, char** argv) {
   std::string scene_path, mesh_path, shell_path, texture_path, fluence_path, model = "matched", correction = "kernels";
   int environment_samples = 384;
-  double piece = 0.3;
+  double piece = 0.1;
   CoreExchangeOptions options;
   options.sums.tolerance = 0.02;
   StageProgram program("sg-core", "Finds the light that the core below a shell gives back, by the dipole.");
