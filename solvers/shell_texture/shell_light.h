@@ -97,7 +97,7 @@ class ShellLight {
   struct VertexLight {
     PreparedLight light;
     std::vector<PreparedLight> spread;  // of each of the kernels' bands; none where the light is even
-    float way = 0;  // of the refracted beams for each step down: 1/cosθ below a smooth surface, of many the one that serves for all
+    float way = 0;  // of refracted beams for each step down, 1/cosθ; of many beams the one that serves for all
   };
   const VertexLight& light_at(int vertex) const;
   // The table's direction within matter below a smooth surface.
