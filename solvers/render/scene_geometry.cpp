@@ -49,6 +49,29 @@ bool SceneGeometry::occluded(const Vec3& origin, const Vec3& direction, double d
   return ray.tfar < 0;
 }
 
+std::uint32_t SceneGeometry::occluded(const Vec3& origin, const Vec3* directions, const double* distances,
+                                      int count) const {
+  if (count == 1) return occluded(origin, directions[0], distances[0]) ? 1 : 0;
+  alignas(32) RTCRay8 rays{};
+  alignas(32) int valid[most_rays] = {};
+  std::uint32_t sought = 0;
+  for (int i = 0; i < count; ++i) {
+    const RTCRay ray = impl_->ray(origin, directions[i], distances[i]);
+    rays.org_x[i] = ray.org_x, rays.org_y[i] = ray.org_y, rays.org_z[i] = ray.org_z;
+    rays.dir_x[i] = ray.dir_x, rays.dir_y[i] = ray.dir_y, rays.dir_z[i] = ray.dir_z;
+    rays.tnear[i] = ray.tnear, rays.tfar[i] = ray.tfar, rays.mask[i] = ray.mask;
+    if (ray.tfar > ray.tnear) valid[i] = -1, sought |= 1u << i;
+  }
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  rtcOccluded8(valid, impl_->embree.scene(), &context, &rays);
+  std::uint32_t hidden = 0;
+  for (int i = 0; i < count; ++i)
+    if (rays.tfar[i] < 0) hidden |= 1u << i;
+  return hidden & sought;
+}
+
 std::optional<SceneGeometry::Hit> SceneGeometry::intersect(const Vec3& origin, const Vec3& direction) const {
   RTCRayHit query{};
   query.ray = impl_->ray(origin, direction, std::numeric_limits<double>::infinity());

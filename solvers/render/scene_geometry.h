@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #pragma once
+#include <cstdint>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -31,6 +32,11 @@ class SceneGeometry {
   // Whether anything stands between the origin and the point at `distance` along `direction` (unit).
   bool occluded(const Vec3& origin, const Vec3& direction,
                 double distance = std::numeric_limits<double>::infinity()) const;
+
+  // The same for at most `most_rays` rays from one origin; bit i is that of ray i. Faster where they go about the same
+  // way.
+  static constexpr int most_rays = 8;
+  std::uint32_t occluded(const Vec3& origin, const Vec3* directions, const double* distances, int count) const;
 
   // The nearest hit along `direction` (unit), if any.
   std::optional<Hit> intersect(const Vec3& origin, const Vec3& direction) const;

@@ -43,9 +43,6 @@ class IncidentLight {
   const LightDirections& directions() const { return directions_; }
 
  private:
-  template <class Visit>
-  void visit_beams(int vertex, const Visit& visit) const;
-
   TexturedFrames frames_;
   const SceneGeometry& geometry_;
   std::vector<SimpleLight> lights_;

@@ -63,8 +63,8 @@ const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
   auto made = std::make_unique<VertexLight>();
   made->light = texture_.prepare(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
   if (parts_.outside)
-    for (const std::vector<DirectionWeight>& band : incident_.spread(vertex))
-      made->spread.push_back(texture_.prepare(band));
+    for (std::vector<DirectionWeight>& band : incident_.spread(vertex))
+      made->spread.push_back(texture_.prepare(std::move(band)));
   double sum = 0, weights = 0;
   for (const DirectionWeight& one : made->light.list) {
     const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();

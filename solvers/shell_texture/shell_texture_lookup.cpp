@@ -32,8 +32,8 @@ Between clamped_between(float place, int count) {
 
 }  // namespace
 
-std::vector<DirectionWeight> blend_directions(const LightDirections& directions, const Vec3& to_light) {
-  std::vector<DirectionWeight> blend;
+DirectionBlend direction_blend(const LightDirections& directions, const Vec3& to_light) {
+  DirectionBlend blend;
   const double cosine = std::min(1.0, to_light.z());
   if (!(cosine > 0)) return blend;
   const int rings = directions.rings, turns = directions.turns;
@@ -45,8 +45,10 @@ std::vector<DirectionWeight> blend_directions(const LightDirections& directions,
     at -= turns * std::floor(at / turns);
     const int first = std::min(static_cast<int>(at), turns - 1), second = first + 1 < turns ? first + 1 : 0;
     const double t = at - first;
-    blend.push_back({ring * turns + first, Vec3f::Constant(static_cast<float>(weight * (1 - t)))});
-    blend.push_back({ring * turns + second, Vec3f::Constant(static_cast<float>(weight * t))});
+    blend.directions[blend.count] = ring * turns + first;
+    blend.weights[blend.count++] = static_cast<float>(weight * (1 - t));
+    blend.directions[blend.count] = ring * turns + second;
+    blend.weights[blend.count++] = static_cast<float>(weight * t);
   };
   if (place < 0) {
     // Ring 0 of this side is half a step from the zenith, that of the other side too.
@@ -63,6 +65,13 @@ std::vector<DirectionWeight> blend_directions(const LightDirections& directions,
     }
   }
   return blend;
+}
+
+std::vector<DirectionWeight> blend_directions(const LightDirections& directions, const Vec3& to_light) {
+  const DirectionBlend blend = direction_blend(directions, to_light);
+  std::vector<DirectionWeight> list;
+  for (int k = 0; k < blend.count; ++k) list.push_back({blend.directions[k], Vec3f::Constant(blend.weights[k])});
+  return list;
 }
 
 ShellTextureLookup::ShellTextureLookup(const ShellTexture& texture)

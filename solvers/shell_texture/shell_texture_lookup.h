@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // Looking up a shell texture function at any point and direction, whichever way its values are stored.
 #pragma once
+#include <array>
 #include <memory>
 #include <vector>
 
@@ -23,6 +24,12 @@ struct DirectionWeight {
 // the circle, in the azimuth; over the zenith from one side to the other. Below the lowest ring it fades as the cosine
 // does; from the horizon on there is none. `to_light` is unit, in the sample's frame: x and y along the texture, z out
 // of the matter.
+struct DirectionBlend {
+  std::array<int, 4> directions = {};
+  std::array<float, 4> weights = {};
+  int count = 0;
+};
+DirectionBlend direction_blend(const LightDirections& directions, const Vec3& to_light);
 std::vector<DirectionWeight> blend_directions(const LightDirections& directions, const Vec3& to_light);
 
 // Light from several directions, made ready for one look-up: made once, used for many voxels.

@@ -7,6 +7,7 @@
 #include <mutex>
 #include <vector>
 
+#include "solvers/diffusion/channel_lanes.h"
 #include "solvers/shell_texture/vertex_buckets.h"
 
 namespace shellgrid {
@@ -15,6 +16,20 @@ namespace shellgrid {
 // or by the kernel of each place of entry.
 enum class IrradianceCorrection { none, one_kernel, kernels };
 IrradianceKernels corrected_by(const IrradianceKernels& kernels, IrradianceCorrection correction);
+
+// Kernels with what lies at one distance side by side, for all bands at once.
+class BandKernels {
+ public:
+  BandKernels() = default;
+  explicit BandKernels(const IrradianceKernels& kernels);
+  // Adds `area` times each band's value at that distance, mm, from band `first` on; as IrradianceKernels::value.
+  void add(int kernel, double distance, float area, int first, int end, Float4* sums) const;
+
+ private:
+  int bands_ = 0, rings_ = 0;
+  double per_ring_ = 0;
+  std::vector<Float4> values_;  // at (kernel · (rings + 1) + ring) · bands + band; the last ring's are 0
+};
 
 // The shell texture function takes the light that one place of the surface gets to shine on all of the sample. Where it
 // does not, at the borders of shadows and where the surface turns away, scattered light comes from the light about:
@@ -32,10 +47,10 @@ class SpreadLight {
 
   // The light itself: ordered by direction, each once.
   const std::vector<DirectionWeight>& at(int vertex) const;
-  // For each of the kernels' bands the light of which matter there scatters its share; empty where that is `at` itself,
-  // within `unevenness` of the brightest.
-  const std::vector<std::vector<DirectionWeight>>& spread(int vertex) const;
-  // The same for what passes through the bottom alone; not kept.
+  // For each of the kernels' bands but the bottom the light of which matter there scatters its share; empty where that
+  // is `at` itself, within `unevenness` of the brightest. Not kept.
+  std::vector<std::vector<DirectionWeight>> spread(int vertex) const;
+  // The same for what passes through the bottom alone.
   std::vector<DirectionWeight> at_bottom(int vertex) const;
 
   std::int64_t spread_vertices() const { return spread_vertices_; }
@@ -48,7 +63,7 @@ class SpreadLight {
   };
   const Entry& entry(int vertex) const;
   const Entry& mean_of(int bucket) const;
-  std::vector<std::vector<DirectionWeight>> worked_out(int vertex, int first_band) const;
+  std::vector<std::vector<DirectionWeight>> worked_out(int vertex, int first_band, int end_band) const;
   // Whether light is even all about a bucket, as told by its own and its neighbours' means.
   bool is_even_about(int bucket) const;
   bool is_even(int bucket) const;
@@ -59,9 +74,10 @@ class SpreadLight {
   IrradianceKernels kernels_;
   Vec3i sample_;
   const std::vector<Vec2f>& coordinates_;
-  IrradianceKernels whole_kernels_;  // of light that enters all over a bucket
-  double radius_ = 0, edge_ = 0;     // of what counts, mm; of the buckets' cells, mm
-  std::vector<float> areas_;         // of vertices, mm²
+  // By distance, bands side by side; of light that enters at a vertex, and all over a bucket.
+  BandKernels point_kernels_, whole_kernels_;
+  double radius_ = 0, edge_ = 0;  // of what counts, mm; of the buckets' cells, mm
+  std::vector<float> areas_;      // of vertices, mm²
   VertexBuckets buckets_;
   std::vector<std::vector<std::pair<int, float>>> kernel_areas_;  // of buckets: kernels and their areas, mm²
   template <class T>
@@ -76,7 +92,6 @@ class SpreadLight {
   Lazy<Entry> entries_, means_;
   Lazy<std::vector<int>> about_;
   mutable std::vector<std::atomic<std::uint8_t>> even_, even_about_;  // of buckets: 0 unknown, 1 uneven, 2 even
-  Lazy<std::vector<std::vector<DirectionWeight>>> spreads_;
   mutable std::atomic<std::int64_t> spread_vertices_{0};
 };
 

@@ -44,6 +44,8 @@ VertexBuckets::VertexBuckets(const TexturedFrames& frames, const std::vector<flo
     buckets_.back().members.push_back(places[k].vertex);
     of_vertex_[places[k].vertex] = static_cast<int>(buckets_.size()) - 1;
   }
+  for (int k = 0; k < static_cast<int>(cells_.size()); ++k)
+    columns_.try_emplace(cells_[k].first >> 21, k, k).first->second.second = k + 1;
   parallel_for(buckets_.size(), [&](std::size_t b) {
     Bucket& bucket = buckets_[b];
     for (const int v : bucket.members) {

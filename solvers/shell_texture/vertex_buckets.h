@@ -3,6 +3,7 @@
 #pragma once
 #include <algorithm>
 #include <cstdint>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
@@ -48,15 +49,18 @@ class VertexBuckets {
   template <class Visit>
   void visit_column(const Vec3i& cell, int reach, const Visit& visit) const {
     const std::uint64_t first = key(cell - Vec3i(0, 0, reach)), last = key(cell + Vec3i(0, 0, reach));
-    for (auto at = std::lower_bound(cells_.begin(), cells_.end(), std::pair(first, 0));
-         at != cells_.end() && at->first <= last; ++at)
+    const auto column = columns_.find(first >> 21);
+    if (column == columns_.end()) return;
+    const auto begin = cells_.begin() + column->second.first, end = cells_.begin() + column->second.second;
+    for (auto at = std::lower_bound(begin, end, std::pair(first, 0)); at != end && at->first <= last; ++at)
       visit(at->second);
   }
 
   double edge_ = 1;
   std::vector<Bucket> buckets_;
   std::vector<int> of_vertex_;
-  std::vector<std::pair<std::uint64_t, int>> cells_;  // sorted: cell and bucket
+  std::vector<std::pair<std::uint64_t, int>> cells_;                // sorted: cell and bucket
+  std::unordered_map<std::uint64_t, std::pair<int, int>> columns_;  // of cells along z: which of them
 };
 
 }  // namespace shellgrid

@@ -3,6 +3,10 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
+#include <cmath>
+#include <limits>
+
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "tests/support/closed_shapes.h"
@@ -45,6 +49,29 @@ TEST(SceneGeometry, OcclusionEndsAtTheGivenDistanceAndStartsOffTheSurface) {
   EXPECT_FALSE(geometry.occluded(Vec3(0.1, 0.2, 1), Vec3(0, 0, 1)));
   EXPECT_TRUE(geometry.occluded(Vec3(0.1, 0.2, 1), Vec3(0, 0, -1)));
   EXPECT_FALSE(geometry.occluded(Vec3(0.1, 0.2, 1), Vec3(0, 0, -1), 0));
+}
+
+TEST(SceneGeometry, AnswersForRaysTogetherAsForEach) {
+  const SceneGeometry geometry(shapes::joined(box(1, Vec3::Zero()), box(0.5, Vec3(2, 1, 3))));
+  int hidden = 0, open = 0;
+  for (int n = 0; n < 400; ++n) {
+    const Vec3 origin(2.5 * std::sin(n), 2.5 * std::cos(1.7 * n), 2.5 * std::sin(2.3 * n + 1));
+    const int count = n % SceneGeometry::most_rays + 1;
+    std::array<Vec3, SceneGeometry::most_rays> directions;
+    std::array<double, SceneGeometry::most_rays> distances;
+    std::uint32_t expected = 0;
+    for (int k = 0; k < count; ++k) {
+      directions[k] = Vec3(std::sin(5.1 * n + 2.9 * k), std::cos(3.3 * k + n), std::sin(k - 0.7 * n)).normalized();
+      distances[k] = k % 3 == 0 ? std::numeric_limits<double>::infinity() : k % 3 == 1 ? 0.3 * (n % 13) : 0;
+      if (geometry.occluded(origin, directions[k], distances[k]))
+        expected |= 1u << k, ++hidden;
+      else
+        ++open;
+    }
+    EXPECT_EQ(geometry.occluded(origin, directions.data(), distances.data(), count), expected) << n;
+  }
+  EXPECT_GT(hidden, 100);
+  EXPECT_GT(open, 200);
 }
 
 TEST(SceneGeometry, KnowsInsideFromOutside) {
