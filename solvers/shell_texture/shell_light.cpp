@@ -104,13 +104,13 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
   const VertexLight& light = light_at(vertex);
   const std::size_t sampled = sample_voxel(place, value.offset);
   value.whole = texture_.matter()[sampled] > 0.999f;
-  const VoxelLight around = texture.at(place, light.light);
+  VoxelLight around;
+  if (light.spread.empty() || !value.whole) around = texture.at(place, light.light);
+  if (!light.spread.empty())
+    around.multiple = texture.at(place, light.spread[texture_.kernels().band_of(static_cast<int>(place.z()))]).multiple;
+  if (value.whole) around.single = texture.voxel_light(sampled, light.light).single;
   value.multiple = around.multiple.array().max(0);
-  if (!light.spread.empty()) {
-    const PreparedLight& spread = light.spread[texture_.kernels().band_of(static_cast<int>(place.z()))];
-    value.multiple = texture.at(place, spread).multiple.array().max(0);
-  }
-  value.single = (value.whole ? texture.voxel_light(sampled, light.light).single : around.single).array().max(0);
+  value.single = around.single.array().max(0);
   // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
   if (has_core()) value.multiple += 2 * core_[vertex] * texture.back(place).array().max(0);
   ++voxels_;

@@ -4,8 +4,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <vector>
 
 #include "meshing/core/error.h"
 #include "meshing/core/random.h"
@@ -82,6 +84,31 @@ TEST(ShellTextureLookup, IsLinearBetweenAndContinuousEverywhere) {
   EXPECT_EQ(at({1, 1, 1}, 2, 0).norm(), 0);
   // Through the zenith along a line.
   EXPECT_LT((at({1, 1, 1}, 1e-4, 1) - at({1, 1, 1}, 1e-4, 1 + std::numbers::pi)).norm(), 3e-3);
+}
+
+// Each direction's weight is a hat over polar angle and azimuth, here by the library's angles.
+TEST(DirectionBlend, HasTheWeightsOfItsAngles) {
+  const LightDirections table{5, 9};
+  const double step = std::numbers::pi / (2 * table.rings), turn = 2 * std::numbers::pi / table.turns;
+  const auto hat = [](double distance) { return std::max(0.0, 1 - std::abs(distance)); };
+  for (int n = 0; n < 2000; ++n) {
+    const double polar = step * (0.5 + (table.rings - 1) * std::fmod(0.618034 * n, 1.0)), azimuth = 0.0137 * n - 9;
+    const Vec3 light(std::sin(polar) * std::cos(azimuth), std::sin(polar) * std::sin(azimuth), std::cos(polar));
+    std::vector<double> found(table.count(), 0.0);
+    const DirectionBlend blend = direction_blend(table, light);
+    for (int k = 0; k < blend.count; ++k) found[blend.directions[k]] += static_cast<double>(blend.weights[k]);
+    for (int d = 0; d < table.count(); ++d) {
+      const int ring = d / table.turns;
+      const double around = std::remainder(azimuth - d % table.turns * turn, 2 * std::numbers::pi) / turn;
+      EXPECT_NEAR(found[d], hat(polar / step - 0.5 - ring) * hat(around), 2e-6) << n << " " << d;
+    }
+  }
+  for (const Vec3& axis : {Vec3(1, 0, 1), Vec3(-1, 0, 1), Vec3(0, 1, 1), Vec3(0, -1, 1), Vec3(0, 0, 1)}) {
+    const DirectionBlend blend = direction_blend(table, axis.normalized());
+    float sum = 0;
+    for (int k = 0; k < blend.count; ++k) sum += blend.weights[k];
+    EXPECT_NEAR(sum, 1, 1e-6f);
+  }
 }
 
 TEST(ShellTextureLookup, FreeSpaceDoesNotDarkenTheSurface) {
