@@ -52,9 +52,12 @@ class AppearanceTree {
     }
   }
 
-  // The `count` nearest of all that are nearer than `bound`, nearest first. Returns how many there are.
+  // The `count` nearest of all that are nearer than `bound`, nearest first. Returns how many there are. Distances are
+  // squared. With `share` below 1 near ones instead of the nearest: boxes farther than that share of the worst kept are
+  // left aside, so that the i-th found is at most as many times 1/share farther than the i-th nearest.
   template <class Allowed>
-  int nearest_few(const Point& query, const Allowed& allowed, float bound, int count, std::int32_t* indices) const {
+  int nearest_few(const Point& query, const Allowed& allowed, float bound, int count, float share,
+                  std::int32_t* indices) const {
     std::array<float, few> distances;
     int found = 0;
     const auto limit = [&] { return found < count ? bound : distances[found - 1]; };
@@ -63,9 +66,9 @@ class AppearanceTree {
     stack[depth++] = {0.0f, root_};
     while (depth > 0) {
       const auto [least, at] = stack[--depth];
-      if (!(least < limit())) continue;
+      if (!(least < share * limit())) continue;
       if (at >= 0) {
-        push_children(nodes_[at], squared_distances(nodes_[at], query), limit(), stack, depth);
+        push_children(nodes_[at], squared_distances(nodes_[at], query), share * limit(), stack, depth);
         continue;
       }
       const Leaf& leaf = leaves_[~at];

@@ -27,7 +27,7 @@ SampleLayers SampleLayers::make(const std::vector<Eigen::Vector2i>& sizes, int s
   return layers;
 }
 
-LayerPlace SampleLayers::turned(const LayerPlace& place, int steps) const {
+LayerPlace SampleLayers::turned_by(const LayerPlace& place, int steps) const {
   if (symmetry == 1) return place;
   const SampleLayer& from = list[place.layer];
   const float width = static_cast<float>(from.width), height = static_cast<float>(from.height);

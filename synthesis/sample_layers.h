@@ -66,8 +66,11 @@ struct SampleLayers {
     return l.first + static_cast<int>(place.at.y()) * l.width + static_cast<int>(place.at.x());
   }
   // The same place of the sample in the layer that is turned by so many steps more. Not wrapped.
-  LayerPlace turned(const LayerPlace& place, int steps) const;
+  LayerPlace turned(const LayerPlace& place, int steps) const { return steps == 0 ? place : turned_by(place, steps); }
   std::int32_t turned_texel(std::int32_t texel, int steps) const;
+
+ private:
+  LayerPlace turned_by(const LayerPlace& place, int steps) const;
 };
 
 }  // namespace shellgrid

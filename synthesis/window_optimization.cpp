@@ -21,6 +21,7 @@ namespace {
 constexpr float move_cost = 0.01f, change_cost = 0.03f;
 constexpr float search_bound = 0.02f;  // windows that differ by less, in variances, are near enough
 constexpr int nearest_count = 8;
+constexpr float nearest_share = 0.25f;  // these are within twice the distance of the nearest
 // Vertices find their windows in as many turns, and the texels' use is counted anew before each, so that not all leave
 // at once what is used too often.
 constexpr int use_groups = 4;
@@ -28,6 +29,11 @@ constexpr float few_uses = 8;
 constexpr int reach = 2, across = 2 * reach + 1, places = across * across, centre = places / 2;
 
 using Features = Eigen::Array<float, TextonSet::dimension, 1>;
+
+// The middle first, then places far from one another: most unlike windows are left at once.
+constexpr std::array<int, places> visits = {12, 10, 14, 2,  22, 0, 4, 20, 24, 6,  8,  16, 18,
+                                            11, 13, 7,  17, 1,  3, 5, 9,  15, 19, 21, 23};
+constexpr int together = 4;  // places that are summed before a window may be left
 
 Vec2f window_place(int k) { return {static_cast<float>(k % across - reach), static_cast<float>(k / across - reach)}; }
 
@@ -66,6 +72,7 @@ class WindowOptimizer {
         },
         64);
     find_features();
+    find_surroundings();
     Features mean = Features::Zero(), squares = Features::Zero();
     for (int t = 0; t < layers_.base_texel_count(); ++t) mean += features(t), squares += features(t).square();
     variance_ = (squares / layers_.base_texel_count() - (mean / layers_.base_texel_count()).square()).sum();
@@ -126,6 +133,7 @@ class WindowOptimizer {
   Eigen::Map<const Features> features(std::int32_t texel) const {
     return Eigen::Map<const Features>(&features_[static_cast<std::size_t>(texel) * TextonSet::dimension]);
   }
+  bool may_take(std::int32_t v, int sample) const { return layers_.sample_count == 1 || allowed_(v, sample); }
   LayerPlace continued(const TangentNeighbour& neighbour, const LayerPlace& there) const {
     LayerPlace from = layers_.turned(there, -neighbour.turn);
     from.at = layers_.wrap(from.layer, from.at - neighbour.rotate(neighbour.offset));
@@ -139,6 +147,34 @@ class WindowOptimizer {
       Eigen::Map<RowMatrixf> rows(&features_[static_cast<std::size_t>(layer.first) * TextonSet::dimension],
                                   layer.texel_count(), TextonSet::dimension);
       for (int step = 1; step < step_; step *= 2) rows = blur_maps(RowMatrixf(rows), layer.width, layer.height, step);
+    }
+  }
+
+  // Copies the layers with what surrounds them, so that no window needs to wrap around.
+  void find_surroundings() {
+    const int border = reach * step_;
+    std::size_t size = 0;
+    for (const SampleLayer& layer : layers_.list)
+      size += static_cast<std::size_t>(layer.width + 2 * border) * (layer.height + 2 * border);
+    surrounded_.resize(size * TextonSet::dimension);
+    surrounded_texel_.resize(layers_.texel_count());
+    std::int32_t first = 0;
+    for (const SampleLayer& layer : layers_.list) {
+      const int stride = layer.width + 2 * border;
+      std::array<std::int32_t, places>& steps = window_steps_.emplace_back();
+      for (int k = 0; k < places; ++k)
+        steps[k] = ((k / across - reach) * stride + k % across - reach) * step_ * TextonSet::dimension;
+      for (int y = -border; y < layer.height + border; ++y)
+        for (int x = -border; x < layer.width + border; ++x) {
+          const int sx = (x % layer.width + layer.width) % layer.width;
+          const int sy = (y % layer.height + layer.height) % layer.height;
+          const std::int32_t texel = layer.first + sy * layer.width + sx;
+          const std::int32_t at = first + ((y + border) * stride + x + border) * TextonSet::dimension;
+          Eigen::Map<Features> copy(&surrounded_[at]);
+          copy = features(texel);
+          if (x == sx && y == sy) surrounded_texel_[texel] = at;
+        }
+      first += stride * (layer.height + 2 * border) * TextonSet::dimension;
     }
   }
 
@@ -210,12 +246,12 @@ class WindowOptimizer {
     const TangentNeighbour* around = &neighbours_[position * places];
     std::array<Features, places> wanted;
     std::array<int, places> used;
+    std::array<float, places> weights;
     int count = 0;
-    // The middle first: most unlike places are left at once.
-    for (int i = 0; i < places; ++i) {
-      const int k = (centre + i) % places;
+    for (const int k : visits) {
       if (around[k].vertex < 0) continue;
       wanted[count] = features(shown_[around[k].vertex]);
+      weights[count] = weight_[k];
       used[count++] = k;
     }
     float best_distance = std::numeric_limits<float>::max();
@@ -223,28 +259,33 @@ class WindowOptimizer {
     long compared = 0;
     const std::int32_t own = layers_.texel(windows_[v]);
     std::array<std::int32_t, 64> seen;
+    std::uint64_t seen_bits = 0;  // of the texels' last six bits
     int seen_count = 0;
     const float unit = variance_ * total_weight_;
     const auto consider = [&](int layer_index, std::int32_t texel, const Vec2f& fraction) {
-      for (int i = 0; i < seen_count; ++i)
-        if (seen[i] == texel) return;
+      const std::uint64_t bit = std::uint64_t{1} << (texel & 63);
+      if ((seen_bits & bit) != 0)
+        for (int i = 0; i < seen_count; ++i)
+          if (seen[i] == texel) return;
+      seen_bits |= bit;
       if (seen_count < static_cast<int>(seen.size())) seen[seen_count++] = texel;
       const SampleLayer& layer = layers_[layer_index];
-      if (!allowed_(v, layer.sample)) return;
+      if (!may_take(v, layer.sample)) return;
       ++compared;
-      const int tx = (texel - layer.first) % layer.width, ty = (texel - layer.first) / layer.width;
       float distance = ((texel != own ? move_cost : 0.0f) + penalty(texel)) * unit;
-      for (int i = 0; i < count; ++i) {
-        int x = tx + (used[i] % across - reach) * step_, y = ty + (used[i] / across - reach) * step_;
-        while (x < 0) x += layer.width;
-        while (x >= layer.width) x -= layer.width;
-        while (y < 0) y += layer.height;
-        while (y >= layer.height) y -= layer.height;
-        distance += weight_[used[i]] * (wanted[i] - features(layer.first + y * layer.width + x)).square().sum();
+      const float* const middle = &surrounded_[surrounded_texel_[texel]];
+      const std::array<std::int32_t, places>& steps = window_steps_[layer_index];
+      for (int first = 0; first < count; first += together) {
+        Features sum = Features::Zero();
+        for (int i = first; i < std::min(count, first + together); ++i)
+          sum += weights[i] * (wanted[i] - Eigen::Map<const Features>(middle + steps[used[i]])).square();
+        distance += sum.sum();
         if (distance >= best_distance) return;
       }
       best_distance = distance;
-      best = {layer_index, Vec2f(static_cast<float>(tx), static_cast<float>(ty)) + fraction};
+      const int at = texel - layer.first;
+      best = {layer_index,
+              Vec2f(static_cast<float>(at % layer.width), static_cast<float>(at / layer.width)) + fraction};
     };
     const auto consider_place = [&](const LayerPlace& place) {
       consider(place.layer, layers_.texel(place), place.at - place.at.array().floor().matrix());
@@ -267,11 +308,10 @@ class WindowOptimizer {
       std::array<std::int32_t, AppearanceTree::few> nearest;
       const float own_penalty = penalty(layers_.texel(best));
       const auto may_be = [&](std::int32_t t) {
-        return penalty(t) <= own_penalty &&
-               (layers_.sample_count == 1 || allowed_(v, layers_[layers_.layer_of(t)].sample));
+        return penalty(t) <= own_penalty && may_take(v, layers_[layers_.layer_of(t)].sample);
       };
-      const int found =
-          index_->tree().nearest_few(query, may_be, best_distance - move_cost * unit, nearest_count, nearest.data());
+      const int found = index_->tree().nearest_few(query, may_be, best_distance - move_cost * unit, nearest_count,
+                                                   nearest_share, nearest.data());
       for (int i = 0; i < found; ++i) consider(layers_.layer_of(nearest[i]), nearest[i], Vec2f(0.5f, 0.5f));
     }
     for (std::int32_t t = 0; options_.exhaustive && t < layers_.texel_count(); ++t)
@@ -293,7 +333,7 @@ class WindowOptimizer {
       const int k = (centre + i) % places;
       if (around[k].vertex < 0) continue;
       said[count] = k == centre ? windows_[v] : continued(around[k], windows_[around[k].vertex]);
-      if (!allowed_(v, layers_[said[count].layer].sample)) continue;
+      if (!may_take(v, layers_[said[count].layer].sample)) continue;
       texels[count] = layers_.texel(said[count]);
       sum += weight_[k] * features(texels[count++]);
       total += weight_[k];
@@ -321,6 +361,9 @@ class WindowOptimizer {
   std::vector<char> shown_changed_, window_changed_;
   std::vector<TangentNeighbour> neighbours_;  // 25 for each vertex of the level
   std::vector<float> features_;
+  std::vector<float> surrounded_;                               // features of the layers and of what surrounds them
+  std::vector<std::int32_t> surrounded_texel_;                  // where in it each texel stands
+  std::vector<std::array<std::int32_t, places>> window_steps_;  // of each layer: from the middle to a window's places
   std::vector<std::int32_t> base_;
   std::vector<float> penalty_;
   std::array<float, places> weight_;

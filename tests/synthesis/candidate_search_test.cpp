@@ -4,8 +4,13 @@
 #include <gtest/gtest.h>
 #include <oneapi/tbb/global_control.h>
 
+#include <algorithm>
+#include <array>
+#include <numeric>
+
 #include "meshing/core/error.h"
 #include "meshing/core/random.h"
+#include "synthesis/appearance_tree.h"
 
 namespace shellgrid {
 namespace {
@@ -54,6 +59,35 @@ TEST(CandidateSearch, EqualsExhaustionAlsoWhereManyLookAlike) {
       ASSERT_EQ(find_candidates(rows, 37, 23, 4, separation), exhaustive(rows, 37, 23, 4, separation))
           << values << " values, separation " << separation;
     }
+}
+
+// The nearest few as a sorted list has them; with a share of 1/4, points at most four times as far (squared).
+TEST(CandidateSearch, FindsTheNearestFewOrNearOnes) {
+  const RowMatrixf rows = appearance(3000, 1000, 5), queries = appearance(40, 1000, 6);
+  std::vector<std::int32_t> all(3000);
+  std::iota(all.begin(), all.end(), 0);
+  const AppearanceTree tree(rows, all);
+  const auto even = [](std::int32_t t) { return t % 2 == 0; };
+  int missed = 0;
+  for (int q = 0; q < queries.rows(); ++q) {
+    const AppearanceTree::Point query = queries.row(q).transpose().array();
+    const auto distance = [&](std::int32_t t) { return (rows.row(t).transpose().array() - query).square().sum(); };
+    std::vector<float> sorted;
+    for (int t = 0; t < 3000; t += 2) sorted.push_back(distance(t));
+    std::sort(sorted.begin(), sorted.end());
+    std::array<std::int32_t, AppearanceTree::few> found;
+    for (const float share : {1.0f, 0.25f}) {
+      ASSERT_EQ(tree.nearest_few(query, even, 1e9f, 8, share, found.data()), 8);
+      for (int i = 0; i < 8; ++i) {
+        EXPECT_EQ(found[i] % 2, 0);
+        EXPECT_LE(distance(found[i]), sorted[i] / share * 1.0001f);
+        if (share < 1) missed += distance(found[i]) > sorted[i];
+      }
+    }
+    // What lies beyond the bound is not told.
+    EXPECT_EQ(tree.nearest_few(query, even, 0.5f * (sorted[2] + sorted[3]), 8, 1.0f, found.data()), 3);
+  }
+  EXPECT_GT(missed, 0);
 }
 
 TEST(CandidateSearch, SaysWhereNoTexelIsLeft) {
