@@ -106,8 +106,12 @@ class Study:
 
     def prepare(self, name, path):
         def make():
-            surface = self.run("prepare", self.at(name + ".ply"), path, "--size", self.options.size, "--spacing",
-                               self.options.voxel)
+            how = [self.at(name + ".ply"), path, "--size", self.options.size, "--spacing", self.options.voxel]
+            try:
+                surface = self.run("prepare", *how)
+            except RuntimeError as error:
+                print("%-11s is wrapped anew at 1 %%: %s" % (name, error), flush=True)
+                surface = self.run("prepare", *how, "--rewrap", "1%")
             self.run("distance", self.at(name + ".distance.vdb"), self.at(name + ".ply"), "--voxel", self.options.voxel,
                      "--inside", 6, "--outside", 2 * self.options.voxel)
             return {"surface": surface}
@@ -362,7 +366,15 @@ def main():
     descriptions = {os.path.splitext(os.path.basename(name))[0]: name if name.endswith((".json", ".vdb")) else
                     os.path.join(folder, name + ".json") for name in options.samples}
     rows, made, failed = [], {}, False
-    prepared = {mesh: study.prepare(mesh, path) for mesh, path in shapes.items()}
+    prepared = {}
+    for mesh, path in shapes.items():
+        try:
+            prepared[mesh] = study.prepare(mesh, path)
+        except RuntimeError as error:
+            print("%-11s %s" % (mesh, error), flush=True)
+            failed = True
+    if not prepared:
+        return 1
     for sample, path in descriptions.items():
         try:
             made[sample] = study.make_sample(sample, path)
@@ -370,9 +382,9 @@ def main():
             rows.append({"sample": sample, "source": SOURCES.get(sample, "own"), "way": "", "failure": str(error)})
             print("%-11s %s" % (sample, error), flush=True)
             failed = True
-            write_report(study, rows, list(made), list(shapes), made)
+            write_report(study, rows, list(made), list(prepared), made)
             continue
-        for mesh in shapes:
+        for mesh in prepared:
             grown = study.grow(sample, mesh, prepared[mesh], made[sample])
             for way in WAYS:
                 rows.append(row_of(sample, mesh, way, made[sample], grown))
@@ -380,7 +392,7 @@ def main():
                 failed = failed or bool(row["failure"])
                 print("%-11s %-10s %-8s %s" % (sample, mesh, way, row["failure"] or "E %s (%s – %s), %s s" % (
                     row["E 5"], row["E 5 tiling"], row["E 5 random"], row["synthesize s"])), flush=True)
-        write_report(study, rows, list(made), list(shapes), made)
+        write_report(study, rows, list(made), list(prepared), made)
     for line in summary(rows):
         print("%s, mean of %d: %s" % (line[0], line[1], ", ".join("%s %s" % pair for pair in zip(SUMMARY, line[2:]))))
     for name in ("report.html", "report.md", "report.csv"):

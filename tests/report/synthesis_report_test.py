@@ -69,6 +69,22 @@ class SynthesisReport(WorkplaceTest):
         self.assertEqual(done.returncode, 1)
         self.assertIn("sg-sample: refused", list(rows.values())[0]["failure"])
 
+    def test_crossing_shapes_are_wrapped_and_unreadable_ones_left_out(self):
+        vertices, faces = icosphere(3)
+        other, _ = icosphere(3, centre=(0.7, 0.3, 0.2))
+        write_off(self.at("ball.off"), (list(vertices) + list(other), list(faces) + [[len(vertices) + v for v in f] for f in faces]))
+        write_json(self.at("spots.json"), {"type": "spots", "size": [16, 16], "voxel": 1, "thickness": 2, "count": 3,
+                                           "radius": 2.5, "materials": {"body": BODY, "spot": VEIN}})
+        done, rows = self.report("--meshes", "ball", "spot", "--size", 20)
+        self.assertEqual(done.returncode, 0, done.stdout)
+        self.assertIn("ball        is wrapped anew at 1 %: sg-prepare: refused", done.stdout)
+        self.assertEqual({mesh for mesh, _ in rows}, {"ball", "pillow"})
+        with open(self.at("ball.off"), "w") as file:
+            file.write("OFF\n3 1 0\n0 0\n")
+        done, rows = self.report("--meshes", "ball", "spot", "--size", 20)
+        self.assertEqual(done.returncode, 1, done.stdout)
+        self.assertEqual({mesh for mesh, _ in rows}, {"pillow"})
+
 
 if __name__ == "__main__":
     unittest.main()
