@@ -138,6 +138,7 @@ int main(int argc, char** argv) {
   std::string scene_path, mesh_path, shell_path, texture_path, fluence_path, model = "matched", correction = "kernels";
   int environment_samples = 384;
   double piece = 0.1;
+  bool flat = false;
   CoreExchangeOptions options;
   options.sums.tolerance = 0.02;
   StageProgram program("sg-core", "Finds the light that the core below a shell gives back, by the dipole.");
@@ -165,6 +166,7 @@ int main(int argc, char** argv) {
   program.option("--environment-samples", environment_samples, "", "parallel lights that stand for an environment", 1,
                  65536);
   program.option("--correction", correction, irradiance_correction_help, irradiance_correction_names);
+  program.flag("--flat", flat, flat_shell_help);
   program.example("sg-core scene.json synthesized.ply shell.vdb stf.vdb -o core.ply", "ready for sg-render");
   return program.run(argc, argv, [&](StageRun& run) {
     run.start_timer("read");
@@ -175,7 +177,8 @@ int main(int argc, char** argv) {
                           {"--dipole", "--tolerance", "--bounces", "--piece", "--brute-force"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
     std::map<std::string, std::string> shell_notes;
-    const ShellVolume shell = read_shell_volume(shell_path, ShellParts::shape, &shell_notes);
+    const ShellVolume shell =
+        read_shell_volume(shell_path, flat ? ShellParts::shape : ShellParts::matter, &shell_notes);
     require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress());
     std::string sample;
     const auto texture = open_shell_texture(texture_path, ShellTextureParts::bottom, &sample);
@@ -202,8 +205,10 @@ int main(int argc, char** argv) {
     const double edge = fluence_path.empty() ? piece * shell.thickness : 0;
     std::optional<VertexBuckets> pieces;
     if (edge > 0) pieces.emplace(frames, vertex_areas(surface.mesh), edge);
-    CoreSurface core =
-        core_surface(frames, spread, *texture, surface.coordinate, shell.thickness, pieces ? &*pieces : nullptr);
+    std::optional<ShellCurvature> curvature;
+    if (!flat) curvature.emplace(frames, shell, ior);
+    CoreSurface core = core_surface(frames, spread, *texture, surface.coordinate, shell.thickness,
+                                    pieces ? &*pieces : nullptr, curvature ? &*curvature : nullptr);
     run.start_timer("exchange");
     CoreShine shine =
         fluence_path.empty()

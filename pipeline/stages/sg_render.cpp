@@ -43,6 +43,7 @@ std::vector<Rgb> exitance_of(const std::string& path, const AttributedMesh& surf
 struct ShellTextureFiles {
   std::string texture, shell, core;
   std::string light = "all", correction = "kernels";
+  bool flat = false;
 
   bool asked_for() const { return !texture.empty(); }
   void declare(StageProgram& program) {
@@ -54,9 +55,10 @@ struct ShellTextureFiles {
                    "which light the shell shows: all of it, that from outside, or that out of the core",
                    {"all", "outside", "core"});
     program.option("--correction", correction, irradiance_correction_help, irradiance_correction_names);
+    program.flag("--flat", flat, flat_shell_help);
   }
   void check(const StageProgram& program) const {
-    program.refuse_unless(asked_for(), "--stf", {"--shell", "--core", "--light", "--correction"});
+    program.refuse_unless(asked_for(), "--stf", {"--shell", "--core", "--light", "--correction", "--flat"});
     if (asked_for() && shell.empty()) throw UsageError("--stf needs the --shell that it fills");
     if (asked_for() && light == "core" && core.empty()) throw UsageError("--light core needs --core");
   }
@@ -101,8 +103,11 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   shown.core_light = files.light != "outside";
   shown.correction = irradiance_correction(files.correction);
   ShellTextureStatistics s;
-  RenderedImage picture = render_shell_texture({object, shell, frames, *texture, surface.coordinate, core},
-                                               scene.lights, *scene.camera, shown, &s, run.progress());
+  std::optional<ShellCurvature> curvature;
+  if (!files.flat) curvature.emplace(frames, shell, scene.object->ior);
+  RenderedImage picture = render_shell_texture(
+      {object, shell, frames, *texture, surface.coordinate, core, curvature ? &*curvature : nullptr}, scene.lights,
+      *scene.camera, shown, &s, run.progress());
   run.results()["marches"] = s.marches;
   run.results()["march_steps"] = s.march_steps;
   run.results()["voxels_lit"] = s.voxels_lit;

@@ -22,14 +22,10 @@ constexpr double least_share =
 
 }  // namespace
 
-CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
-                         const std::vector<Vec2f>& coordinates, double thickness, const VertexBuckets* pieces) {
+std::vector<float> core_areas(const TexturedFrames& frames, double thickness) {
   const TriangleMesh& mesh = frames.mesh;
-  const auto vertices = static_cast<std::size_t>(mesh.vertex_count());
-  if (coordinates.size() != vertices) throw InputError("the surface's texture coordinates do not have its size");
-  if (!(thickness >= 0)) throw InputError("a shell's thickness is not negative");
   const auto below = [&](int v) -> Vec3 { return mesh.vertex(v) - thickness * frames.normals.row(v).transpose(); };
-  std::vector<float> areas(vertices, 0.0f);
+  std::vector<float> areas(static_cast<std::size_t>(mesh.vertex_count()), 0.0f);
   const auto area = [](const Vec3& a, const Vec3& b, const Vec3& c) -> Vec3 { return (b - a).cross(c - a) / 2; };
   for (int f = 0; f < mesh.face_count(); ++f) {
     const Vec3 above = area(mesh.corner(f, 0), mesh.corner(f, 1), mesh.corner(f, 2));
@@ -37,6 +33,18 @@ CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light,
     const double size = above.norm(), under = size > 0 ? area(point(0), point(1), point(2)).dot(above) / size : 0;
     for (int k = 0; k < 3; ++k) areas[mesh.faces(f, k)] += static_cast<float>(std::max(0.0, under) / 3);
   }
+  return areas;
+}
+
+CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
+                         const std::vector<Vec2f>& coordinates, double thickness, const VertexBuckets* pieces,
+                         const ShellCurvature* curvature) {
+  const TriangleMesh& mesh = frames.mesh;
+  const auto vertices = static_cast<std::size_t>(mesh.vertex_count());
+  if (coordinates.size() != vertices) throw InputError("the surface's texture coordinates do not have its size");
+  if (!(thickness >= 0)) throw InputError("a shell's thickness is not negative");
+  const auto below = [&](int v) -> Vec3 { return mesh.vertex(v) - thickness * frames.normals.row(v).transpose(); };
+  const std::vector<float> areas = core_areas(frames, thickness);
   const std::size_t n = pieces ? static_cast<std::size_t>(pieces->count()) : vertices;
   CoreSurface surface;
   surface.points.resize(n);
@@ -79,8 +87,14 @@ CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light,
         Rgb reflection = Rgb::Zero();
         for (const int v : members) {
           const Vec2f& at = coordinates[v];
-          surface.power[i] += there * areas[v] * texture.below(at.x(), at.y(), prepared).array().max(0);
-          reflection += texture.below_of_back_light(at.x(), at.y()).array().max(0).min(1);
+          Rgb down = texture.below(at.x(), at.y(), prepared).array().max(0);
+          Rgb back = texture.below_of_back_light(at.x(), at.y()).array().max(0);
+          if (curvature) {
+            down *= curvature->below(v);
+            back *= curvature->reflection(v);
+          }
+          surface.power[i] += there * areas[v] * down;
+          reflection += back.min(1);
         }
         surface.shell_reflection[i] = reflection / static_cast<float>(count);
       },

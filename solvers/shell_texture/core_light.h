@@ -6,20 +6,24 @@
 
 #include "solvers/diffusion/fluence_field.h"
 #include "solvers/dipole/core_exchange.h"
+#include "solvers/shell_texture/shell_curvature.h"
 #include "solvers/shell_texture/spread_light.h"
 #include "solvers/shell_texture/vertex_buckets.h"
 
 namespace shellgrid {
 
+// The areas `thickness` mm below those of the surface's vertices, mm²; 0 where the surface bends more than that.
+std::vector<float> core_areas(const TexturedFrames& frames, double thickness);
+
 // The core's surface, `thickness` mm below the mesh, point by point below its vertices. What passes down through the
 // sample's bottom where it stands there falls on it, per area of the core: so within a white object in even light there
 // is even light, whatever its curvature. Source: [STF §7 step 1].
 // coordinates: texture coordinates of the vertices, texels. pieces: one point for each, rather than for each vertex:
-// its vertices share the light of one in their middle, each through its own texel. Throws: InputError where they do not
-// fit the mesh.
+// its vertices share the light of one in their middle, each through its own texel. curvature: of the shell; none: it is
+// taken as flat. Throws: InputError where they do not fit the mesh.
 CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
-                         const std::vector<Vec2f>& coordinates, double thickness,
-                         const VertexBuckets* pieces = nullptr);
+                         const std::vector<Vec2f>& coordinates, double thickness, const VertexBuckets* pieces = nullptr,
+                         const ShellCurvature* curvature = nullptr);
 
 // Values of pieces at the vertices: the mean of the pieces that face the same way within 1½ edges, by area and
 // nearness.

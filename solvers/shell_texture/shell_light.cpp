@@ -20,13 +20,15 @@ constexpr std::int32_t free_space_kind = 0;
 }  // namespace
 
 ShellLight::ShellLight(const ShellVolume& shell, const TexturedFrames& frames, const SpreadLight& incident,
-                       const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts)
+                       const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts,
+                       const ShellCurvature* curvature)
     : shell_(shell),
       frames_(frames),
       incident_(incident),
       texture_(texture),
       core_(core),
       parts_(parts),
+      curvature_(curvature),
       relative_ior_(shell.ior),
       vertices_(frames.mesh.vertices),
       leaves_(static_cast<std::size_t>(shell.texture_coordinate.leaf_count())),
@@ -111,8 +113,16 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
   if (value.whole) around.single = texture.voxel_light(sampled, light.light).single;
   value.multiple = around.multiple.array().max(0);
   value.single = around.single.array().max(0);
+  Rgb back = Rgb::Ones();
+  if (curvature_) {
+    const BentShell::Ratios bent = curvature_->at(vertex, place.z());
+    value.multiple *= bent.multiple;
+    value.single *= bent.single;
+    value.bent = bent.single;
+    back = bent.back;
+  }
   // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
-  if (has_core()) value.multiple += 2 * core_[vertex] * texture.back(place).array().max(0);
+  if (has_core()) value.multiple += 2 * core_[vertex] * back * texture.back(place).array().max(0);
   ++voxels_;
   return value;
 }
@@ -198,7 +208,8 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
     source = (value.whole ? texture_->voxel_light(light_.sample_voxel(place, offset), phase_light_).single
                           : texture_->at(place, phase_light_).single)
                  .array()
-                 .max(0);
+                 .max(0) *
+             value.bent;
   }
   if (!value.whole) return source;
   // e^{−σ s} over its mean in the voxel, s the beams' way from the depth of the voxel's middle.

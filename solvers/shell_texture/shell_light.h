@@ -11,6 +11,7 @@
 
 #include "meshing/shell/shell_volume.h"
 #include "meshing/surface/closest_point.h"
+#include "solvers/shell_texture/shell_curvature.h"
 #include "solvers/shell_texture/spread_light.h"
 
 namespace shellgrid {
@@ -23,10 +24,11 @@ struct ShellLightParts {
 // Threads may share it; each asks through a reader of its own.
 class ShellLight {
  public:
-  // core: exitance of the core below each vertex of the surface, or empty. All must outlive this. Throws: InputError
-  // where the core does not have the surface's size.
+  // core: exitance of the core below each vertex of the surface, or empty. curvature: of the shell, or none: it is
+  // taken as flat. All must outlive this. Throws: InputError where the core does not have the surface's size.
   ShellLight(const ShellVolume& shell, const TexturedFrames& frames, const SpreadLight& incident,
-             const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts);
+             const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts,
+             const ShellCurvature* curvature = nullptr);
 
   const ShellVolume& shell() const { return shell_; }
   const Rgb& core_exitance(int vertex) const { return core_[vertex]; }
@@ -41,6 +43,7 @@ class ShellLight {
   struct VoxelFluence {
     Rgb multiple = Rgb::Zero();  // φ of scattered light and the core's, W mm⁻²
     Rgb single = Rgb::Zero();    // φ of the refracted beams: the mean over the sample's voxel there
+    Rgb bent = Rgb::Ones();      // of which curvature makes so many times as much; `single` has it already
     // From the middle of the sample's voxel to that of this one, in the sample's frame, z outwards, voxels.
     Vec3f offset = Vec3f::Zero();
     std::int32_t vertex = -1;  // of the surface, nearest
@@ -110,6 +113,7 @@ class ShellLight {
   const ShellTextureLookup& texture_;
   const std::vector<Rgb>& core_;
   ShellLightParts parts_;
+  const ShellCurvature* curvature_;
   double relative_ior_;
   NearestVertexQuery vertices_;
   mutable std::vector<std::atomic<Leaf*>> leaves_;

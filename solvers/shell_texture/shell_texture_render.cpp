@@ -307,7 +307,7 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
   const IrradianceKernels kernels = corrected_by(scene.texture.kernels(), settings.correction);
   const SpreadLight spread(incident, kernels, scene.texture.size(), scene.coordinates);
   const ShellLight light(scene.shell, scene.frames, spread, scene.texture, scene.core,
-                         {settings.outside_light, settings.core_light});
+                         {settings.outside_light, settings.core_light}, scene.curvature);
   const ShellPicture picture(scene, stage, light, settings);
   const auto from_camera = [&](const Vec3& origin, const Vec3& direction) {
     LightPath path{PathRandom(0, 0)};

@@ -5,6 +5,7 @@
 
 #include "meshing/shell/shell_volume.h"
 #include "solvers/render/surface_render.h"
+#include "solvers/shell_texture/shell_curvature.h"
 #include "solvers/shell_texture/spread_light.h"
 #include "solvers/transport/transport_object.h"
 
@@ -14,10 +15,11 @@ namespace shellgrid {
 struct ShellTextureScene {
   const TransportObject& object;  // its outer surface, and that of its shell's free space
   const ShellVolume& shell;
-  TexturedFrames frames;                  // of the surface that the shell lies below
-  const ShellTextureLookup& texture;      // of the sample that the shell was made of
-  const std::vector<Vec2f>& coordinates;  // of the surface's vertices in the sample, texels
-  const std::vector<Rgb>& core;           // exitance of the core below each vertex, W mm⁻²; empty: a black core
+  TexturedFrames frames;                      // of the surface that the shell lies below
+  const ShellTextureLookup& texture;          // of the sample that the shell was made of
+  const std::vector<Vec2f>& coordinates;      // of the surface's vertices in the sample, texels
+  const std::vector<Rgb>& core;               // exitance of the core below each vertex, W mm⁻²; empty: a black core
+  const ShellCurvature* curvature = nullptr;  // of the shell; none: it is taken as flat, as in the paper
 };
 
 struct ShellTextureSettings {
