@@ -11,6 +11,7 @@
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "meshing/formats/vtkhdf_file.h"
+#include "meshing/surface/repair.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
 #include "pipeline/scene/origin.h"
@@ -70,6 +71,15 @@ FluenceField read_fluence_field(const std::string& path, const TriangleMesh& sur
                 [&] { return FluenceField(std::move(grid.points), std::move(grid.connectivity), std::move(fluence)); });
 }
 
+// 3 V/A, mm: a ball's radius. By the shell's volume between its two surfaces, as if it were a ball's.
+double core_size(const TexturedFrames& frames, const CoreSurface& core, double thickness) {
+  double above = 0, below = 0;
+  for (const float a : vertex_areas(frames.mesh)) above += static_cast<double>(a);
+  for (const float a : core.areas) below += static_cast<double>(a);
+  const double shell = thickness * (above + std::sqrt(above * below) + below) / 3;
+  return below > 0 ? std::max(0.0, 3 * (enclosed_volume(frames.mesh) - shell) / below) : 0;
+}
+
 // What the core gives back, one a point, W mm⁻²; and what there is to tell.
 struct CoreShine {
   std::vector<Rgb> exitance, irradiance;
@@ -77,8 +87,10 @@ struct CoreShine {
   std::string account;
 };
 
+// size: of the core, 3 V/A, mm; 0: it returns what a half-space does.
 CoreShine dipole_shine(CoreSurface& core, const TexturedFrames& frames, const VertexBuckets* pieces,
-                       const ShellVolume& shell, double ior, bool paper, CoreExchangeOptions options, StageRun& run) {
+                       const ShellVolume& shell, double ior, bool paper, double size, CoreExchangeOptions options,
+                       StageRun& run) {
   if (options.bounces == 0) core.shell_reflection.clear();
   const auto channels = core_dipoles(shell.core, ior, paper);
   double area = 0;
@@ -86,7 +98,8 @@ CoreShine dipole_shine(CoreSurface& core, const TexturedFrames& frames, const Ve
   const double radius =
       std::sqrt(area / std::max<double>(1, static_cast<double>(core.points.size())) / std::numbers::pi);
   if (!paper)
-    for (int c = 0; c < 3; ++c) options.returned[c] = channels[c].total();
+    for (int c = 0; c < 3; ++c)
+      options.returned[c] = channels[c].total() * (size > 0 ? body_return(channels[c], size) : 1);
   CoarserCore coarser;
   std::optional<RadialProfile> coarser_profile;
   std::optional<VertexBuckets> larger;
@@ -212,7 +225,8 @@ int main(int argc, char** argv) {
     run.start_timer("exchange");
     CoreShine shine =
         fluence_path.empty()
-            ? dipole_shine(core, frames, pieces ? &*pieces : nullptr, shell, ior, model == "paper", options, run)
+            ? dipole_shine(core, frames, pieces ? &*pieces : nullptr, shell, ior, model == "paper",
+                           flat ? 0 : core_size(frames, core, shell.thickness), options, run)
             : diffusion_shine(core, shell, frames, read_fluence_field(fluence_path, surface.mesh, mesh_path));
 
     const Eigen::Array3d leaving = power(core, shine.exitance);

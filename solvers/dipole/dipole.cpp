@@ -33,6 +33,15 @@ double Dipole::total() const {
   return scale * reduced_albedo / 2 * (std::exp(-decay * real_depth) + std::exp(-decay * virtual_depth));
 }
 
+double body_return(const Dipole& dipole, double radius) {
+  if (!(radius > 0)) throw InputError("a body's size is above 0");
+  const double step = 2 * std::sqrt(std::max(0.0, 1 - dipole.reduced_albedo) / 3);  // 2 D σ_tr
+  const double x = dipole.decay * radius;
+  const double slope = x < 1e-3 ? x / 3 : 1 / std::tanh(x) - 1 / x;
+  const auto returned = [](double loss) { return (1 - loss) / (1 + loss); };
+  return step < 1 ? returned(step * slope) / returned(step) : 1;
+}
+
 std::array<Dipole, 3> dipoles(const Material& material, double ior, DipoleEntry entry, DipoleBoundary boundary) {
   std::array<Dipole, 3> channels;
   for (int c = 0; c < 3; ++c)

@@ -38,6 +38,11 @@ struct Dipole {
   double total() const;                // its integral over the plane
 };
 
+// What a body returns of diffuse light that enters it, over what a half-space does: by diffusion's partial currents,
+// (1 − 2 D L)/(1 + 2 D L), L = −∂φ/∂n / φ at its surface. Of a half-space L is σ_tr, of a ball with the radius r it is
+// σ_tr (coth σ_tr r − 1/(σ_tr r)); r is 3 V/A of any body. `radius` in mm, above 0.
+double body_return(const Dipole& dipole, double radius);
+
 // Of the three channels of a material.
 std::array<Dipole, 3> dipoles(const Material& material, double ior, DipoleEntry entry = DipoleEntry::beam,
                               DipoleBoundary boundary = DipoleBoundary::integrated);

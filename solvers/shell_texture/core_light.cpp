@@ -91,7 +91,7 @@ CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light,
           Rgb back = texture.below_of_back_light(at.x(), at.y()).array().max(0);
           if (curvature) {
             down *= curvature->below(v);
-            back *= curvature->reflection(v);
+            back = (1 - (1 - back) * curvature->loss(v)).max(0);
           }
           surface.power[i] += there * areas[v] * down;
           reflection += back.min(1);

@@ -16,6 +16,7 @@ namespace {
 
 constexpr double least_bend = -1, greatest_bend = 0.75;  // H times the thickness
 constexpr int bend_steps = 28;
+constexpr double least_mending = 0.5;
 constexpr double least_ratio = 0.25, greatest_ratio = 4;
 constexpr int leaves_looked_at = 4000;
 constexpr int rings = 8;                // of even light's directions
@@ -29,17 +30,18 @@ class Column {
  public:
   struct Light {
     std::vector<double> beams, fluence, back;  // means of the layers
-    double below = 0, reflection = 0;
+    double below = 0, lost = 0;                // lost: of diffuse light from below what does not return
   };
 
-  Column(const std::vector<ShellLayer>& layers, int channel, double voxel, double ior) : ior_(ior) {
+  // white: as if it did not absorb.
+  Column(const std::vector<ShellLayer>& layers, int channel, double voxel, double ior, bool white = false) : ior_(ior) {
     for (const ShellLayer& layer : layers) {
       const auto reduced = std::max(1e-9, static_cast<double>(layer.reduced[channel]));
       const int cells = std::clamp(static_cast<int>(std::ceil(cells_per_path * reduced * voxel)), 2, most_cells);
       counts_.push_back(cells);
       for (int k = 0; k < cells; ++k)
         cells_.push_back({voxel / cells, static_cast<double>(layer.extinction[channel]), reduced,
-                          std::min(reduced, static_cast<double>(layer.absorption[channel]))});
+                          white ? 0.0 : std::min(reduced, static_cast<double>(layer.absorption[channel]))});
     }
     factor_ = diffuse_fresnel(ior).boundary_factor;
   }
@@ -91,7 +93,7 @@ class Column {
     from_below[n - 1] = 4 * between[n];
     const std::vector<double> back = solved(diagonal, between, from_below);
     result.below = (fluence[n - 1] * between[n] + down) / end;
-    result.reflection = 1 - (4 - back[n - 1]) * between[n] / end;
+    result.lost = (4 - back[n - 1]) * between[n] / end;
     std::size_t at = 0;
     for (const int count : counts_) {
       double sums[3] = {};
@@ -184,15 +186,22 @@ BentShell::BentShell(const std::vector<ShellLayer>& layers, double voxel, double
     throw InputError("a bent shell has layers, and its bend is below 1");
   const double curvature = bend / (voxel * static_cast<double>(layers.size()));
   for (int c = 0; c < 3; ++c) {
-    const Column column(layers, c, voxel, ior);
+    const Column column(layers, c, voxel, ior), white(layers, c, voxel, ior, true);
     const Column::Light flat = column.light(0), bent = column.light(curvature);
+    const Column::Light even = white.light(0), bent_even = white.light(curvature);
+    // White matter in even light is as bright whatever its shape. Diffusion errs a little where light enters, and
+    // not as much in both shapes: what it misses there is taken from all that is scattered.
+    const double core = even.lost > 0 ? even.below / even.lost : 0;
     for (std::size_t i = 0; i < layers.size(); ++i) {
+      const double scattered = bent_even.fluence[i] + core * bent_even.back[i];
+      const double wanted = even.beams[i] + even.fluence[i] + core * even.back[i] - bent_even.beams[i];
+      const double mended = scattered > 0 ? std::clamp(wanted / scattered, least_mending, 1 / least_mending) : 1;
       layers_[i].single[c] = ratio(bent.beams[i], flat.beams[i]);
-      layers_[i].multiple[c] = ratio(bent.fluence[i], flat.fluence[i]);
-      layers_[i].back[c] = ratio(bent.back[i], flat.back[i]);
+      layers_[i].multiple[c] = ratio(mended * bent.fluence[i], flat.fluence[i]);
+      layers_[i].back[c] = ratio(mended * bent.back[i], flat.back[i]);
     }
-    below_[c] = ratio(bent.below, flat.below);
-    reflection_[c] = ratio(bent.reflection, flat.reflection);
+    loss_[c] = ratio(bent.lost, flat.lost);
+    below_[c] = ratio(bent.below * even.below * bent_even.lost, flat.below * bent_even.below * even.lost);
   }
 }
 
@@ -268,9 +277,9 @@ Rgb ShellCurvature::below(int vertex) const {
   return (1 - place.part) * steps_[place.step].below() + place.part * steps_[place.step + 1].below();
 }
 
-Rgb ShellCurvature::reflection(int vertex) const {
+Rgb ShellCurvature::loss(int vertex) const {
   const Place place = place_of(vertex);
-  return (1 - place.part) * steps_[place.step].reflection() + place.part * steps_[place.step + 1].reflection();
+  return (1 - place.part) * steps_[place.step].loss() + place.part * steps_[place.step + 1].loss();
 }
 
 }  // namespace shellgrid

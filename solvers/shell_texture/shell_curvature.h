@@ -36,12 +36,12 @@ class BentShell {
   BentShell(const std::vector<ShellLayer>& layers, double voxel, double ior, double bend);
 
   const std::vector<Ratios>& layers() const { return layers_; }
-  const Rgb& below() const { return below_; }            // of what passes down, per area of the core
-  const Rgb& reflection() const { return reflection_; }  // of what returns of diffuse light from the core
+  const Rgb& below() const { return below_; }  // of what passes down, per area of the core
+  const Rgb& loss() const { return loss_; }    // of what does not return of diffuse light from the core
 
  private:
   std::vector<Ratios> layers_;
-  Rgb below_ = Rgb::Ones(), reflection_ = Rgb::Ones();
+  Rgb below_ = Rgb::Ones(), loss_ = Rgb::Ones();
 };
 
 // Mean curvatures H of the surface, 1/mm, positive where it is convex, over about `reach` mm: from the areas that the
@@ -57,7 +57,7 @@ class ShellCurvature {
   // depth: below the surface, voxels.
   BentShell::Ratios at(int vertex, float depth) const;
   Rgb below(int vertex) const;
-  Rgb reflection(int vertex) const;
+  Rgb loss(int vertex) const;
   float curvature(int vertex) const { return curvatures_[vertex]; }  // H, 1/mm, as far as the ratios follow it
 
  private:
