@@ -120,11 +120,11 @@ def shell_layers(study, sizes):
                     "--thickness", layers * voxel)
     truth = scene.truth(sizes.paths(128), shell=own("shell", 16))
     errors, shown = [], [truth.mean]
-    for name, layers, flags in [(str(n), n, []) for n in counts] + [("dipole", 1, ["--dipole", "paper", "--bounces", 0])]:
+    for name, layers, flags in [(str(n), n, []) for n in counts] + [("dipole", 1, ["--dipole", "paper", "--bounces", 0, "--flat"])]:
         shell, texture = own("shell", layers), own("stf", layers)
         study.stage("irradiance", texture, own("sample", layers), "--target-error", 0.03)
         core, core_told = scene.core(name, *flags, shell=shell, texture=texture)
-        picture, told = scene.picture(name, core=core, shell=shell, texture=texture)
+        picture, told = scene.picture(name, *[flag for flag in flags if flag == "--flat"], core=core, shell=shell, texture=texture)
         found, faces = truth.judge(picture), truth.judge(picture, faces_of(picture, scene.content, 12 * sizes.size, min(4, 8 * sizes.size)))
         part.row(name, *error_cells(found), error_cells(faces)[0], "%.1f" % (core_told["processor"] + told["processor"]))
         errors.append((faces["error"], faces["uncertainty"]))
@@ -225,9 +225,10 @@ def against_paths(study, sizes):
     found, seconds = {}, {}
     for way, core_flags, flags, more in (("shell texture function", [], [], 0),
                                          ("uneven light not corrected", ["--correction", "none"], ["--correction", "none"], 0),
-                                         ("its core as the paper has it", ["--dipole", "paper", "--bounces", 0], [], 0),
+                                         ("shell and core taken as flat", ["--flat"], ["--flat"], 0),
+                                         ("flat, its core as the paper has it", ["--dipole", "paper", "--bounces", 0, "--flat"], ["--flat"], 0),
                                          ("its core by a polygrid's diffusion", ["--fluence", grid.made("fluence.hdf")], [], diffusion)):
-        name = way.split()[-1]
+        name = way.split()[-1] + "".join(str(flag).strip("-") for flag in core_flags[:2] if not os.path.isabs(str(flag)))
         core, core_told = scene.core(name, *core_flags)
         seen, told = scene.picture(name, *flags, core=core)
         picture = picture if found else seen
@@ -252,6 +253,8 @@ def against_paths(study, sizes):
     part.expect("at equal error the shell texture function takes at most a fortieth of the time: 1/%.0f, and corrected 1/%.0f, at most a "
                 "twentieth" % (times["uneven light not corrected"], times["shell texture function"]),
                 times["uneven light not corrected"] >= 40 and times["shell texture function"] >= 20)
+    bent, flat = (found[way]["error"] for way in ("shell texture function", "shell and core taken as flat"))
+    part.expect("bent shells err less than flat ones: %s, %s" % (percent(bent), percent(flat)), bent < flat)
     worst = max(f["error"] for f in found.values())
     part.expect("their errors are at most %s, below 15 %%" % percent(worst), worst < 0.15)
     path = os.path.join(study.output, "reference.png")
