@@ -169,6 +169,8 @@ int main(int argc, char** argv) {
     if (compressed && !program.given("--codec")) codec = "principal-components";
     if (compressed == (codec == "none"))
       throw UsageError(compressed ? "--codec none writes a .vdb" : "--codec writes an .stf");
+    if (program.given("--paths") && program.given("--most-paths") && options.most_paths < options.paths)
+      throw UsageError(fmt::format("--most-paths {:g} is below --paths {:g}", options.most_paths, options.paths));
     run.start_timer("read");
     const MaterialSample sample = restore_sample(read_vdb(sample_path));
     if (program.given("--paths") && !program.given("--target-error")) options.target_error = 0;

@@ -115,6 +115,9 @@ class Irradiance(WorkplaceTest):
         self.assertFalse(os.path.exists(self.at("stf.vdb")))
         done = run("irradiance", self.sample("sample.vdb"), "-o", self.at("stf.vdb"), "--paths", 0)
         self.assertEqual(done.returncode, 2, done.stderr)
+        done = run("irradiance", self.at("sample.vdb"), "-o", self.at("stf.vdb"), "--paths", 10, "--most-paths", 1)
+        self.assertEqual(done.returncode, 2, done.stderr)
+        self.assertIn("--most-paths 1 is below --paths 10", done.stderr)
 
 
 if __name__ == "__main__":
