@@ -22,7 +22,7 @@ inline constexpr const char* irradiance_correction_help =
     "how matter sees light that is uneven about it: by the kernel of each place where it enters, by one kernel for all "
     "of them, or, none, as if it were even";
 inline constexpr const char* flat_shell_help =
-    "takes the shell as flat, as the paper does, where it is as bent as the surface by default";
+    "takes shell and core as flat, as the paper does, where they are as bent as the surface by default";
 IrradianceCorrection irradiance_correction(const std::string& name);
 
 }  // namespace shellgrid
