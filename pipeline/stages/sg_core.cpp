@@ -150,7 +150,7 @@ CoreShine diffusion_shine(const CoreSurface& core, const ShellVolume& shell, con
 int main(int argc, char** argv) {
   std::string scene_path, mesh_path, shell_path, texture_path, fluence_path, model = "matched", correction = "kernels";
   int environment_samples = 384;
-  double piece = 0.1;
+  double piece = 0.3;
   bool flat = false;
   CoreExchangeOptions options;
   options.sums.tolerance = 0.02;
@@ -249,8 +249,9 @@ int main(int argc, char** argv) {
     run.results()["entering_power"] = list(entering);
     run.results()["leaving_power"] = list(leaving);
     run.results()["vertices_corrected"] = spread.spread_vertices();
-    run.results()["shadow_rays"] = light.statistics().shadow_rays.load();
-    run.results()["shadow_rays_skipped"] = light.statistics().shadow_rays_skipped.load();
+    run.results()["shadow_rays"] = light.statistics().shadow_rays;
+    run.results()["shadow_rays_skipped"] = light.statistics().shadow_rays_skipped;
+    run.results()["shadow_rays_shared"] = light.statistics().shadow_rays_shared;
     run.print(fmt::format("{}: {} points, {}", run.output(), core.points.size(), shine.account));
   });
 }

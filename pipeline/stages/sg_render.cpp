@@ -115,6 +115,7 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   run.results()["leaves_skipped"] = s.leaves_skipped;
   run.results()["vertices_lit"] = s.vertices_lit;
   run.results()["vertices_corrected"] = s.vertices_corrected;
+  run.results()["shadow_rays_shared"] = s.shadow_rays_shared;
   picture.statistics.shadow_rays += s.shadow_rays;
   picture.statistics.shadow_rays_skipped += s.shadow_rays_skipped;
   return picture;

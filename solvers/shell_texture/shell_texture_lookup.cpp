@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -30,74 +29,7 @@ Between clamped_between(float place, int count) {
   return {first, std::min(first + 1, count - 1), at - floor};
 }
 
-// Within 2e-8 of the angle, for cosines of 0 … 1. Source: Abramowitz and Stegun, 4.4.46.
-double angle_of_cosine(double x) {
-  constexpr double a[] = {1.5707963050, -0.2145988016, 0.0889789874, -0.0501743046,
-                          0.0308918810, -0.0170881256, 0.0066700901, -0.0012624911};
-  double sum = a[7];
-  for (int k = 6; k >= 0; --k) sum = sum * x + a[k];
-  return std::sqrt(1 - x) * sum;
-}
-
-// atan2 within 2e-8; 0 at the origin. Source: Abramowitz and Stegun, 4.4.49.
-double angle_of(double y, double x) {
-  constexpr double a[] = {
-      1,           -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393, -0.0752896400, 0.0429096138, -0.0161657367,
-      0.0028662257};
-  const double across = std::abs(x), along = std::abs(y), greater = std::max(across, along);
-  if (!(greater > 0)) return 0;
-  const double ratio = std::min(across, along) / greater, square = ratio * ratio;
-  double sum = a[8];
-  for (int k = 7; k >= 0; --k) sum = sum * square + a[k];
-  double angle = ratio * sum;
-  angle = along > across ? std::numbers::pi / 2 - angle : angle;
-  angle = x < 0 ? std::numbers::pi - angle : angle;
-  return y < 0 ? -angle : angle;
-}
-
 }  // namespace
-
-DirectionBlend direction_blend(const LightDirections& directions, const Vec3& to_light) {
-  DirectionBlend blend;
-  const double cosine = std::min(1.0, to_light.z());
-  if (!(cosine > 0)) return blend;
-  const int rings = directions.rings, turns = directions.turns;
-  const double step = std::numbers::pi / (2 * rings);
-  const double place = angle_of_cosine(cosine) / step - 0.5;  // ring k at k
-  double turn = angle_of(to_light.y(), to_light.x()) / (2 * std::numbers::pi) * turns;
-  if (turn < 0) turn += turns;
-  const auto put = [&](int ring, double at, double weight) {
-    at -= turns * std::floor(at / turns);
-    const int first = std::min(static_cast<int>(at), turns - 1), second = first + 1 < turns ? first + 1 : 0;
-    const double t = at - first;
-    blend.directions[blend.count] = ring * turns + first;
-    blend.weights[blend.count++] = static_cast<float>(weight * (1 - t));
-    blend.directions[blend.count] = ring * turns + second;
-    blend.weights[blend.count++] = static_cast<float>(weight * t);
-  };
-  if (place < 0) {
-    // Ring 0 of this side is half a step from the zenith, that of the other side too.
-    put(0, turn, 1 + place);
-    put(0, turn + 0.5 * turns, -place);
-  } else {
-    const int ring = std::min(static_cast<int>(place), rings - 1);
-    const double t = place - ring;
-    if (ring + 1 < rings) {
-      put(ring, turn, 1 - t);
-      put(ring + 1, turn, t);
-    } else {
-      put(ring, turn, std::min(1.0, cosine / std::cos((ring + 0.5) * step)));
-    }
-  }
-  return blend;
-}
-
-std::vector<DirectionWeight> blend_directions(const LightDirections& directions, const Vec3& to_light) {
-  const DirectionBlend blend = direction_blend(directions, to_light);
-  std::vector<DirectionWeight> list;
-  for (int k = 0; k < blend.count; ++k) list.push_back({blend.directions[k], Vec3f::Constant(blend.weights[k])});
-  return list;
-}
 
 ShellTextureLookup::ShellTextureLookup(const ShellTexture& texture)
     : size_(texture.size),

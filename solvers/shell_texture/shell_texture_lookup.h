@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // Looking up a shell texture function at any point and direction, whichever way its values are stored.
 #pragma once
-#include <array>
 #include <memory>
 #include <vector>
 
+#include "solvers/shell_texture/direction_blend.h"
 #include "solvers/shell_texture/shell_texture.h"
 
 namespace shellgrid {
@@ -13,24 +13,6 @@ namespace shellgrid {
 struct VoxelLight {
   Vec3f single = Vec3f::Zero(), multiple = Vec3f::Zero();
 };
-
-// Light from one of the table's directions: its irradiance across the direction.
-struct DirectionWeight {
-  int direction = 0;
-  Vec3f weight = Vec3f::Zero();
-};
-
-// Light of unit irradiance from any direction as a sum over four of the table's. Linear in the polar angle and, around
-// the circle, in the azimuth; over the zenith from one side to the other. Below the lowest ring it fades as the cosine
-// does; from the horizon on there is none. `to_light` is unit, in the sample's frame: x and y along the texture, z out
-// of the matter.
-struct DirectionBlend {
-  std::array<int, 4> directions = {};
-  std::array<float, 4> weights = {};
-  int count = 0;
-};
-DirectionBlend direction_blend(const LightDirections& directions, const Vec3& to_light);
-std::vector<DirectionWeight> blend_directions(const LightDirections& directions, const Vec3& to_light);
 
 // Light from several directions, made ready for one look-up: made once, used for many voxels.
 struct PreparedLight {

@@ -360,6 +360,7 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
     statistics->vertices_corrected = spread.spread_vertices();
     statistics->shadow_rays = incident.statistics().shadow_rays;
     statistics->shadow_rays_skipped = incident.statistics().shadow_rays_skipped;
+    statistics->shadow_rays_shared = incident.statistics().shadow_rays_shared;
   }
   return result;
 }

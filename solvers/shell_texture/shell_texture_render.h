@@ -42,7 +42,7 @@ struct ShellTextureStatistics {
   std::int64_t leaves_lit = 0;      // of the shell's
   std::int64_t leaves_skipped = 0;  // that no ray has seen
   std::int64_t vertices_corrected = 0;
-  std::int64_t vertices_lit = 0, shadow_rays = 0, shadow_rays_skipped = 0;
+  std::int64_t vertices_lit = 0, shadow_rays = 0, shadow_rays_skipped = 0, shadow_rays_shared = 0;
 };
 
 // Rays find the mesostructure's surface within the shell, are mirrored and refracted there, and march through the

@@ -95,8 +95,8 @@ TEST(DirectionBlend, HasTheWeightsOfItsAngles) {
     const double polar = step * (0.5 + (table.rings - 1) * std::fmod(0.618034 * n, 1.0)), azimuth = 0.0137 * n - 9;
     const Vec3 light(std::sin(polar) * std::cos(azimuth), std::sin(polar) * std::sin(azimuth), std::cos(polar));
     std::vector<double> found(table.count(), 0.0);
-    const DirectionBlend blend = direction_blend(table, light);
-    for (int k = 0; k < blend.count; ++k) found[blend.directions[k]] += static_cast<double>(blend.weights[k]);
+    for (const DirectionWeight& one : blend_directions(table, light))
+      found[one.direction] += static_cast<double>(one.weight[0]);
     for (int d = 0; d < table.count(); ++d) {
       const int ring = d / table.turns;
       const double around = std::remainder(azimuth - d % table.turns * turn, 2 * std::numbers::pi) / turn;
@@ -104,9 +104,8 @@ TEST(DirectionBlend, HasTheWeightsOfItsAngles) {
     }
   }
   for (const Vec3& axis : {Vec3(1, 0, 1), Vec3(-1, 0, 1), Vec3(0, 1, 1), Vec3(0, -1, 1), Vec3(0, 0, 1)}) {
-    const DirectionBlend blend = direction_blend(table, axis.normalized());
     float sum = 0;
-    for (int k = 0; k < blend.count; ++k) sum += blend.weights[k];
+    for (const DirectionWeight& one : blend_directions(table, axis.normalized())) sum += one.weight[1];
     EXPECT_NEAR(sum, 1, 1e-6f);
   }
 }

@@ -213,6 +213,52 @@ TEST(IncidentLight, IsTheSumOfItsLights) {
   }
 }
 
+// A ring's hole, its outer side and a screen's shadow on it: what few places see serves all.
+TEST(IncidentLight, FaintLightsAreSeenByNeighbours) {
+  const TriangleMesh ring = shapes::torus(10, 4, 240, 110);
+  const VertexMatrix normals = vertex_normals(ring);
+  VertexMatrix directions(normals.rows(), 3);
+  for (Eigen::Index v = 0; v < normals.rows(); ++v) {
+    const Vec3 normal = normals.row(v).transpose();
+    directions.row(v) = normal.unitOrthogonal().transpose();
+  }
+  const TexturedFrames frames{ring, normals, directions};
+  const SceneGeometry geometry(shapes::joined(ring, shapes::moved(shapes::box(Vec3(12, 3, 1)), Vec3(0, 0, 8))));
+  EnvironmentLight sky;
+  sky.up = Vec3(0, 0, 1);
+  sky.zenith = Rgb(0.9f, 1, 1.2f);
+  sky.horizon = Rgb(0.5f, 0.4f, 0.3f);
+  sky.ground = Rgb(0.2f, 0.2f, 0.1f);
+  const std::vector<Light> lights = {sky, DirectionalLight{Vec3(-0.6, 0, -0.8), Rgb(2, 3, 4)}};
+  const LightDirections table;
+  const IncidentLight exact(frames, geometry, lights, table, 400, false), shared(frames, geometry, lights, table, 400);
+  double difference = 0, all = 0, worst = 0;
+  const auto by_direction = [&](const IncidentLight& light, int vertex) {
+    std::vector<Vec3f> sums(table.count(), Vec3f::Zero());
+    for (const DirectionWeight& one : light.at(vertex)) sums[one.direction] = one.weight;
+    return sums;
+  };
+  double brightest = 0;
+  for (int v = 0; v < ring.vertex_count(); ++v) {
+    const std::vector<Vec3f> a = by_direction(exact, v), b = by_direction(shared, v);
+    double own = 0, light = 0;
+    for (int d = 0; d < table.count(); ++d) {
+      own += static_cast<double>((a[d] - b[d]).cwiseAbs().sum());
+      light += static_cast<double>(a[d].sum());
+    }
+    difference += own;
+    all += light;
+    worst = std::max(worst, own);
+    brightest = std::max(brightest, light);
+  }
+  EXPECT_LT(difference, 2e-4 * all);
+  EXPECT_LT(worst, 0.01 * brightest);
+  const IncidentLightStatistics now = shared.statistics(), before = exact.statistics();
+  EXPECT_LT(now.shadow_rays, 0.3 * static_cast<double>(before.shadow_rays));
+  EXPECT_GT(now.shadow_rays_shared, 0.7 * static_cast<double>(before.shadow_rays));
+  EXPECT_EQ(before.shadow_rays_shared, 0);
+}
+
 TEST(SpreadLight, RefusesWhatDoesNotFit) {
   const HalfLit scene;
   const TexturedFrames frames{scene.plate, scene.normals, scene.directions};

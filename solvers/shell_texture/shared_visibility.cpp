@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: AGPL-3.0-or-later
+#include "solvers/shell_texture/shared_visibility.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace shellgrid {
+
+namespace {
+
+constexpr double vertices_a_cell = 16;
+constexpr int least_agreeing = 2;  // cells that are above whose horizon the light is
+
+}  // namespace
+
+SharedVisibility::SharedVisibility(const TexturedFrames& frames, const SceneGeometry& geometry,
+                                   std::vector<Vec3> lights)
+    : frames_(frames), geometry_(geometry), lights_(std::move(lights)) {
+  const std::vector<float> areas = vertex_areas(frames.mesh);
+  double area = 0;
+  for (const float one : areas) area += static_cast<double>(one);
+  if (lights_.empty() || !(area > 0)) return;
+  VertexBuckets cells(frames, areas, std::sqrt(vertices_a_cell * area / static_cast<double>(areas.size())));
+  if (static_cast<std::size_t>(cells.count()) * 4 > areas.size()) return;
+  cells_ = std::move(cells);
+  const auto count = static_cast<std::size_t>(cells_.count());
+  samples_.known = std::vector<std::atomic<const Sample*>>(count);
+  agreed_.known = std::vector<std::atomic<const Agreed*>>(count);
+}
+
+template <class T, class Make>
+const T& SharedVisibility::get(const Lazy<T>& of, int cell, const Make& make) const {
+  if (const T* found = of.known[cell].load(std::memory_order_acquire)) return *found;
+  auto made = std::make_unique<const T>(make());
+  const std::lock_guard lock(mutex_);
+  if (const T* found = of.known[cell].load(std::memory_order_acquire)) return *found;
+  of.owned.push_back(std::move(made));
+  of.known[cell].store(of.owned.back().get(), std::memory_order_release);
+  return *of.owned.back();
+}
+
+const SharedVisibility::Sample& SharedVisibility::sample(int cell) const {
+  return get(samples_, cell, [&] {
+    const VertexBuckets::Bucket& bucket = cells_[cell];
+    const int vertex = *std::min_element(bucket.members.begin(), bucket.members.end(), [&](int a, int b) {
+      return (frames_.mesh.vertex(a) - bucket.middle).squaredNorm() <
+             (frames_.mesh.vertex(b) - bucket.middle).squaredNorm();
+    });
+    const Vec3 normal = frames_.normals.row(vertex).transpose();
+    const Vec3 origin = frames_.mesh.vertex(vertex) + geometry_.offset() * normal;
+    Sample made;
+    made.seen.assign((lights_.size() + 63) / 64, 0);
+    made.hidden = made.seen;
+    std::array<Vec3, SceneGeometry::most_rays> ways;
+    std::array<double, SceneGeometry::most_rays> distances;
+    distances.fill(std::numeric_limits<double>::infinity());
+    std::array<std::size_t, SceneGeometry::most_rays> which{};
+    int waiting = 0;
+    std::int64_t traced = 0;
+    const auto ask = [&] {
+      const std::uint32_t hidden = geometry_.occluded(origin, ways.data(), distances.data(), waiting);
+      for (int k = 0; k < waiting; ++k)
+        (hidden >> k & 1 ? made.hidden : made.seen)[which[k] / 64] |= std::uint64_t{1} << (which[k] % 64);
+      traced += waiting;
+      waiting = 0;
+    };
+    for (std::size_t i = 0; i < lights_.size(); ++i) {
+      if (!(lights_[i].dot(normal) > 0)) continue;
+      ways[waiting] = lights_[i];
+      which[waiting] = i;
+      if (++waiting == SceneGeometry::most_rays) ask();
+    }
+    if (waiting > 0) ask();
+    shadow_rays_ += traced;
+    return made;
+  });
+}
+
+const SharedVisibility::Agreed* SharedVisibility::about(int vertex) const {
+  if (cells_.count() == 0) return nullptr;
+  const int own = cells_.of_vertex(vertex);
+  return &get(agreed_, own, [&] {
+    const VertexBuckets::Bucket& bucket = cells_[own];
+    std::vector<const Sample*> samples;
+    cells_.visit_about(bucket.middle, 1, [&](int other) {
+      if (cells_[other].facing.dot(bucket.facing) > 0) samples.push_back(&sample(other));
+    });
+    Agreed made;
+    for (std::size_t word = 0; word < (lights_.size() + 63) / 64; ++word) {
+      // Of each light whether one saw it, two did; the same of those from which it is hidden.
+      static_assert(least_agreeing == 2);
+      std::uint64_t seen = 0, seen_twice = 0, hidden = 0, hidden_twice = 0;
+      for (const Sample* one : samples) {
+        seen_twice |= seen & one->seen[word];
+        seen |= one->seen[word];
+        hidden_twice |= hidden & one->hidden[word];
+        hidden |= one->hidden[word];
+      }
+      made.seen_words.push_back(seen_twice & ~hidden);
+      made.known_words.push_back(made.seen_words.back() | (hidden_twice & ~seen));
+    }
+    return made;
+  });
+}
+
+}  // namespace shellgrid
