@@ -276,14 +276,25 @@ std::string read_text(const std::string& path) {
   return text;
 }
 
-std::string hash_file(const std::string& path) {
+std::string read_head(const std::string& path, std::size_t bytes) {
+  std::uint64_t whole = 0;
+  const std::unique_ptr<File> file = open_regular(path, whole);
+  std::string text(std::min<std::uint64_t>(bytes, whole), '\0');
+  text.resize(read_block(*file, path, text.data(), text.size()));
+  return text;
+}
+
+void read_blocks(const std::string& path, const std::function<void(std::string_view)>& take) {
   std::uint64_t bytes = 0;
   const std::unique_ptr<File> file = open_regular(path, bytes);
+  std::vector<char> block(block_bytes);
+  while (const std::size_t got = read_block(*file, path, block.data(), block_bytes)) take({block.data(), got});
+}
+
+std::string hash_file(const std::string& path) {
   const std::unique_ptr<XXH64_state_t, XXH_errorcode (*)(XXH64_state_t*)> state(XXH64_createState(), XXH64_freeState);
   XXH64_reset(state.get(), 0);
-  std::vector<char> block(block_bytes);
-  while (const std::size_t got = read_block(*file, path, block.data(), block_bytes))
-    XXH64_update(state.get(), block.data(), got);
+  read_blocks(path, [&](std::string_view block) { XXH64_update(state.get(), block.data(), block.size()); });
   return fmt::format("{:016x}", XXH64_digest(state.get()));
 }
 

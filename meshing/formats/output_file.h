@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <string_view>
 
 namespace shellgrid {
 
@@ -18,6 +19,10 @@ void write_text_atomically(const std::string& path, const std::string& text);
 
 // The whole file. Throws: InputError naming the path and the reason.
 std::string read_text(const std::string& path);
+// At most so many bytes from its begin.
+std::string read_head(const std::string& path, std::size_t bytes);
+// The whole file, block by block.
+void read_blocks(const std::string& path, const std::function<void(std::string_view)>& take);
 
 // XXH64 of a file's bytes, as 16 hexadecimal digits. Throws: InputError.
 std::string hash_file(const std::string& path);

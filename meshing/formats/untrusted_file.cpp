@@ -45,15 +45,41 @@ bool send_verdict(int pipe, std::size_t memory, const std::function<void()>& rea
   return write_all(pipe, verdict.data(), std::min<std::size_t>(verdict.size(), 4000));
 }
 
+using HashState = std::unique_ptr<XXH3_state_t, XXH_errorcode (*)(XXH3_state_t*)>;
+
+HashState started_hash() {
+  HashState state(XXH3_createState(), XXH3_freeState);
+  XXH3_128bits_reset(state.get());
+  return state;
+}
+
+std::string digits(const HashState& state) {
+  const XXH128_hash_t hash = XXH3_128bits_digest(state.get());
+  return fmt::format("{:016x}{:016x}", hash.high64, hash.low64);
+}
+
 }  // namespace
 
 std::string seal_of(std::string_view bytes, std::string_view more_bytes) {
-  const std::unique_ptr<XXH3_state_t, XXH_errorcode (*)(XXH3_state_t*)> state(XXH3_createState(), XXH3_freeState);
-  XXH3_128bits_reset(state.get());
+  const HashState state = started_hash();
   XXH3_128bits_update(state.get(), bytes.data(), bytes.size());
   if (!more_bytes.empty()) XXH3_128bits_update(state.get(), more_bytes.data(), more_bytes.size());
-  const XXH128_hash_t hash = XXH3_128bits_digest(state.get());
-  return fmt::format("{:016x}{:016x}", hash.high64, hash.low64);
+  return digits(state);
+}
+
+std::string seal_of_file(const std::string& path, std::uint64_t left_out, std::uint64_t size) {
+  const HashState state = started_hash();
+  std::uint64_t at = 0;
+  read_blocks(path, [&](std::string_view block) {
+    const std::uint64_t end = at + block.size();
+    const auto update = [&](std::uint64_t first, std::uint64_t last) {
+      if (first < last) XXH3_128bits_update(state.get(), block.data() + (first - at), last - first);
+    };
+    update(at, std::min(end, left_out));
+    update(std::max(at, left_out + size), end);
+    at = end;
+  });
+  return digits(state);
 }
 
 std::string one_line(std::string message) {

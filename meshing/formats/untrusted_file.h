@@ -2,6 +2,7 @@
 // How files are read whose library may crash on corrupt ones: what this project wrote carries a seal,
 // a hash of its own bytes; a file without a valid seal is first read by a child process with limits.
 #pragma once
+#include <cstdint>
 #include <functional>
 #include <string>
 #include <string_view>
@@ -10,6 +11,8 @@ namespace shellgrid {
 
 // XXH3 of the bytes of both parts with 128 bits, as 32 hexadecimal digits.
 std::string seal_of(std::string_view bytes, std::string_view more_bytes = {});
+// The same of a file but for `size` bytes at `left_out`.
+std::string seal_of_file(const std::string& path, std::uint64_t left_out, std::uint64_t size);
 
 // A library's message on one line.
 std::string one_line(std::string message);

@@ -93,14 +93,19 @@ void initialize_library() {
   (void)once;
 }
 
-std::string id_of_content(const std::string& bytes) {
-  std::string id = seal_of(std::string_view(bytes).substr(0, id_at), std::string_view(bytes).substr(id_at + id_size));
+std::string id_of(std::string id) {
   for (std::size_t at : {8, 13, 18, 23}) id.insert(at, "-");
   return id;
 }
 
-bool has_valid_seal(const std::string& bytes) {
-  return bytes.size() > id_at + id_size && bytes.compare(id_at, id_size, id_of_content(bytes)) == 0;
+std::string id_of_content(const std::string& bytes) {
+  const std::string_view all = bytes;
+  return id_of(seal_of(all.substr(0, id_at), all.substr(id_at + id_size)));
+}
+
+// head: the file's first bytes.
+bool has_valid_seal(const std::string& path, const std::string& head) {
+  return head.size() == id_at + id_size && head.compare(id_at, id_size, id_of(seal_of_file(path, id_at, id_size))) == 0;
 }
 
 openvdb::math::Transform::Ptr transform_of(const GridFrame& frame) {
@@ -378,11 +383,11 @@ namespace {
 VdbArchive read_checked(const std::string& path, const std::vector<std::string>& wanted, bool outline) {
   initialize_library();
   {
-    const std::string bytes = read_text(path);
-    if (bytes.empty()) throw InputError(path + ": the file is empty");
-    if (bytes.size() < 8 || bytes.compare(0, 8, std::string(" BDV\0\0\0\0", 8)) != 0)
+    const std::string head = read_head(path, id_at + id_size);
+    if (head.empty()) throw InputError(path + ": the file is empty");
+    if (head.size() < 8 || head.compare(0, 8, std::string(" BDV\0\0\0\0", 8)) != 0)
       throw InputError(path + ": not an OpenVDB file");
-    if (!has_valid_seal(bytes))
+    if (!has_valid_seal(path, head))
       rehearse_reading(path, "OpenVDB",
                        [&] { new VdbArchive(parse(path, wanted, outline ? Reading::outline : Reading::one_by_one)); });
   }
@@ -397,7 +402,7 @@ VdbArchive read_vdb(const std::string& path, const std::vector<std::string>& wan
   return read_checked(path, wanted, false);
 }
 VdbArchive read_vdb_outline(const std::string& path) { return read_checked(path, {}, true); }
-bool is_as_written(const std::string& path) { return has_valid_seal(read_text(path)); }
+bool is_as_written(const std::string& path) { return has_valid_seal(path, read_head(path, id_at + id_size)); }
 
 void write_vdb(const std::string& path, const VdbArchive& archive) {
   initialize_library();
@@ -460,9 +465,7 @@ Rgb colour_of(const VdbArchive& archive, const std::string& key) {
 }  // namespace
 
 ShellVolume read_shell_volume(const std::string& path, ShellParts parts, std::map<std::string, std::string>* notes) {
-  std::vector<std::string> wanted = {"texture_coordinate", "kind", "surface_ior"};
-  if (parts != ShellParts::shape)
-    for (const char* name : {"extinction", "albedo", "anisotropy"}) wanted.emplace_back(name);
+  std::vector<std::string> wanted = {"texture_coordinate", "kind", "surface_ior", "extinction", "albedo", "anisotropy"};
   if (parts == ShellParts::all) wanted.emplace_back("normal");
   VdbArchive archive = read_vdb(path, wanted);
   if (notes) *notes = archive.metadata;
@@ -478,11 +481,9 @@ ShellVolume read_shell_volume(const std::string& path, ShellParts parts, std::ma
   };
   move("texture_coordinate", shell.texture_coordinate);
   move("kind", shell.kind);
-  if (parts != ShellParts::shape) {
-    move("extinction", shell.extinction);
-    move("albedo", shell.albedo);
-    move("anisotropy", shell.anisotropy);
-  }
+  move("extinction", shell.extinction);
+  move("albedo", shell.albedo);
+  move("anisotropy", shell.anisotropy);
   if (parts == ShellParts::all) move("normal", shell.normal);
   move("surface_ior", shell.surface_ior);
   shell.core.extinction = colour_of(archive, "core_extinction");

@@ -54,8 +54,8 @@ void write_vdb(const std::string& path, const VdbArchive& archive);
 
 DistanceField read_distance_field(const std::string& path);
 void write_distance_field(const std::string& path, const DistanceField& field);
-// shape: where its voxels are, and which are matter; matter: what they are, too; all: and the normals.
-enum class ShellParts { shape, matter, all };
+// matter: where its voxels are, and what; all: and the normals.
+enum class ShellParts { matter, all };
 // notes: what the file's metadata say beside the shell.
 ShellVolume read_shell_volume(const std::string& path, ShellParts parts = ShellParts::all,
                               std::map<std::string, std::string>* notes = nullptr);

@@ -20,8 +20,8 @@ std::unique_ptr<ShellTextureLookup> open_shell_texture(const std::string& path, 
   }
   const VdbArchive archive = read_vdb(path, shell_texture_grids(parts));
   if (sample) *sample = note_of(archive.metadata, samples_note);
-  const ShellTexture texture = restore_shell_texture(archive, parts);
-  return parts == ShellTextureParts::all ? look_up_as_it_is(texture) : look_up_bottom(texture);
+  if (parts == ShellTextureParts::all) return look_up_archive(archive);
+  return look_up_bottom(restore_shell_texture(archive, parts));
 }
 
 IrradianceCorrection irradiance_correction(const std::string& name) {

@@ -80,6 +80,17 @@ double core_size(const TexturedFrames& frames, const CoreSurface& core, double t
   return below > 0 ? std::max(0.0, 3 * (enclosed_volume(frames.mesh) - shell) / below) : 0;
 }
 
+// Through a clear shell the core is seen sharply: of pieces' edges, the share that a shell of so many reduced mean free
+// paths allows.
+double clearness(const ShellVolume& shell) {
+  constexpr double hidden = 3, least = 1.0 / 3;  // mean free paths; share
+  const std::vector<ShellLayer> layers = shell_layers(shell);
+  Rgb depth = Rgb::Zero();
+  for (const ShellLayer& layer : layers)
+    depth += layer.reduced * static_cast<float>(shell.thickness / static_cast<double>(layers.size()));
+  return std::clamp(static_cast<double>(depth.minCoeff()) / hidden, least, 1.0);
+}
+
 // What the core gives back, one a point, W mm⁻²; and what there is to tell.
 struct CoreShine {
   std::vector<Rgb> exitance, irradiance;
@@ -172,9 +183,11 @@ int main(int argc, char** argv) {
                  "how often at most light that the core gives back, and the shell returns, enters again; 0: as the "
                  "paper does",
                  0, 100);
-  program.option("--piece", piece, "of the shell's thickness",
-                 "edge of the pieces of the core's surface that each stand as one point; 0: each vertex by itself", 0,
-                 1);
+  program.option(
+      "--piece", piece, "of the shell's thickness",
+      "edge of the pieces of the core's surface that each stand as one point, down to a third of it where the "
+      "shell is clear; 0: each vertex by itself",
+      0, 1);
   program.flag("--brute-force", options.sums.brute_force, "sum over all pairs, to check the hierarchy");
   program.option("--environment-samples", environment_samples, "", "parallel lights that stand for an environment", 1,
                  65536);
@@ -190,8 +203,7 @@ int main(int argc, char** argv) {
                           {"--dipole", "--tolerance", "--bounces", "--piece", "--brute-force"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
     std::map<std::string, std::string> shell_notes;
-    const ShellVolume shell =
-        read_shell_volume(shell_path, flat ? ShellParts::shape : ShellParts::matter, &shell_notes);
+    const ShellVolume shell = read_shell_volume(shell_path, ShellParts::matter, &shell_notes);
     require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress());
     std::string sample;
     const auto texture = open_shell_texture(texture_path, ShellTextureParts::bottom, &sample);
@@ -215,7 +227,7 @@ int main(int argc, char** argv) {
     const IncidentLight light(frames, geometry, scene.lights, texture->directions(), environment_samples);
     const IrradianceKernels kernels = corrected_by(texture->kernels(), irradiance_correction(correction));
     const SpreadLight spread(light, kernels, texture->size(), surface.coordinate);
-    const double edge = fluence_path.empty() ? piece * shell.thickness : 0;
+    const double edge = fluence_path.empty() && piece > 0 ? piece * clearness(shell) * shell.thickness : 0;
     std::optional<VertexBuckets> pieces;
     if (edge > 0) pieces.emplace(frames, vertex_areas(surface.mesh), edge);
     std::optional<ShellCurvature> curvature;

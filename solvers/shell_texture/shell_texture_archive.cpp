@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -175,6 +177,55 @@ ShellTexture restore_shell_texture(const VdbArchive& archive, ShellTextureParts 
   }
   restore_kernels(archive, t);
   return t;
+}
+
+std::unique_ptr<ShellTextureLookup> look_up_archive(const VdbArchive& archive) {
+  const ShellTexture head = restore_shell_texture(archive, ShellTextureParts::bottom);
+  const int count = head.directions.count();
+  const Vec3i& size = head.size;
+  std::vector<const TwoLevelGrid<Vec3f>*> single, multiple;
+  for (int l = 0; l <= count; ++l) {
+    if (l < count) single.push_back(&archive.get<Vec3f>(name_of("single", l, count)));
+    multiple.push_back(&archive.get<Vec3f>(name_of("multiple", l, count)));
+  }
+  StoredVoxels voxels(head);
+  using Grid = TwoLevelGrid<Vec3f>;
+  // Leaf by leaf of all grids, of which those of one place stay in the cache.
+  const Vec3i leaves = (size.array() + 7) / 8;
+  parallel_for(
+      static_cast<std::size_t>(leaves.prod()),
+      [&](std::size_t n) {
+        const int at = static_cast<int>(n);
+        const Vec3i leaf(at % leaves.x(), at / leaves.x() % leaves.y(), at / (leaves.x() * leaves.y()));
+        const Vec3i first = 8 * leaf, end = (first.array() + 8).min(size.array());
+        const auto take = [&](const Grid& grid, const char* part, int l, const auto& put) {
+          const int found = grid.find_leaf(leaf);
+          if (found < 0) throw InputError(archive.path + ": a grid does not fill its size");
+          const Vec3f* values = grid.leaf_values(found);
+          bool is_sound = true, is_full = true;
+          for (int z = first.z(); z < end.z(); ++z)
+            for (int y = first.y(); y < end.y(); ++y)
+              for (int x = first.x(); x < end.x(); ++x) {
+                const int offset = Grid::offset_of(x, y, z);
+                const Vec3f& value = values[offset];
+                is_full = is_full && Grid::mask_test(grid.leaf_mask(found), offset);
+                is_sound = is_sound && value.minCoeff() >= 0 && value.sum() < std::numeric_limits<float>::infinity();
+                put((static_cast<std::size_t>(z) * size.y() + y) * size.x() + x, value);
+              }
+          if (!is_full) throw InputError(archive.path + ": a grid does not fill its size");
+          if (!is_sound)
+            throw InputError(
+                fmt::format("{}: a value of {} is negative or not finite", archive.path, name_of(part, l, count)));
+        };
+        for (int l = 0; l < count; ++l) {
+          take(*single[l], "single", l, [&](std::size_t v, const Vec3f& value) { voxels.at(v, l).single = value; });
+          take(*multiple[l], "multiple", l,
+               [&](std::size_t v, const Vec3f& value) { voxels.at(v, l).multiple = value; });
+        }
+        take(*multiple[count], "multiple", count, [&](std::size_t v, const Vec3f& value) { voxels.back[v] = value; });
+      },
+      1);
+  return look_up_voxels(head, std::move(voxels));
 }
 
 AttributedMesh view_shell_texture(const ShellTexture& t) {

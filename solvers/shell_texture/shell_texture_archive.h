@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 // Shell texture functions as files.
 #pragma once
+#include <memory>
+
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "solvers/shell_texture/shell_texture.h"
+#include "solvers/shell_texture/shell_texture_lookup.h"
 
 namespace shellgrid {
 
@@ -17,6 +20,8 @@ VdbArchive archive_shell_texture(const ShellTexture& texture);
 // Throws: InputError where the archive is not what archive_shell_texture wrote.
 enum class ShellTextureParts { bottom, all };
 ShellTexture restore_shell_texture(const VdbArchive& archive, ShellTextureParts parts = ShellTextureParts::all);
+// The function ready to be looked up, without a copy of it between. Throws as above.
+std::unique_ptr<ShellTextureLookup> look_up_archive(const VdbArchive& archive);
 // The grids that are needed for them.
 std::vector<std::string> shell_texture_grids(ShellTextureParts parts);  // empty: all there are
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
@@ -127,37 +128,23 @@ namespace {
 
 class PlainLookup : public ShellTextureLookup {
  public:
-  explicit PlainLookup(const ShellTexture& t) : ShellTextureLookup(t) {
-    const std::size_t voxels = t.voxel_count();
-    const int count = t.directions.count();
-    if (t.single.size() != voxels * count || t.multiple.size() != voxels * (count + 1))
-      throw InputError("shell texture function: its arrays do not have its size");
-    light_.resize(voxels * count);
-    back_.assign(t.multiple.end() - static_cast<std::ptrdiff_t>(voxels), t.multiple.end());
-    constexpr std::size_t block = 64;  // voxels: their lines stay in the cache from direction to direction
-    parallel_for((voxels + block - 1) / block,
-                 [&](std::size_t b) {
-                   for (int l = 0; l < count; ++l)
-                     for (std::size_t v = b * block; v < std::min(voxels, (b + 1) * block); ++v)
-                       light_[v * count + l] = {t.single[t.at(l, v)], t.multiple[t.at(l, v)]};
-                 },
-                 16);
-  }
+  PlainLookup(const ShellTexture& t, StoredVoxels voxels) : ShellTextureLookup(t), voxels_(std::move(voxels)) {}
 
   std::unique_ptr<ShellTextureReader> reader() const override;
-  std::size_t bytes() const override { return light_.size() * sizeof(VoxelLight) + back_.size() * sizeof(Vec3f); }
+  std::size_t bytes() const override {
+    return voxels_.light.size() * sizeof(VoxelLight) + voxels_.back.size() * sizeof(Vec3f);
+  }
 
  private:
   friend class PlainReader;
-  std::vector<VoxelLight> light_;  // at voxel · directions + direction
-  std::vector<Vec3f> back_;
+  StoredVoxels voxels_;
 };
 
 class PlainReader : public ShellTextureReader {
  public:
   explicit PlainReader(const PlainLookup& lookup) : ShellTextureReader(lookup), lookup_(lookup) {}
   VoxelLight voxel_light(std::size_t voxel_index, const PreparedLight& light) override {
-    const VoxelLight* row = lookup_.light_.data() + voxel_index * lookup_.directions().count();
+    const VoxelLight* row = lookup_.voxels_.row(voxel_index);
     VoxelLight sum;
     for (const DirectionWeight& part : light.list) {
       sum.single += part.weight.cwiseProduct(row[part.direction].single);
@@ -165,7 +152,7 @@ class PlainReader : public ShellTextureReader {
     }
     return sum;
   }
-  Vec3f voxel_back(std::size_t voxel_index) override { return lookup_.back_[voxel_index]; }
+  Vec3f voxel_back(std::size_t voxel_index) override { return lookup_.voxels_.back[voxel_index]; }
 
  private:
   const PlainLookup& lookup_;
@@ -192,8 +179,29 @@ std::unique_ptr<ShellTextureLookup> look_up_bottom(const ShellTexture& texture) 
   return std::make_unique<BottomLookup>(texture);
 }
 
-std::unique_ptr<ShellTextureLookup> look_up_as_it_is(const ShellTexture& texture) {
-  return std::make_unique<PlainLookup>(texture);
+StoredVoxels::StoredVoxels(const ShellTexture& texture)
+    : directions(texture.directions.count()), light(texture.voxel_count() * directions), back(texture.voxel_count()) {}
+
+std::unique_ptr<ShellTextureLookup> look_up_voxels(const ShellTexture& texture, StoredVoxels voxels) {
+  return std::make_unique<PlainLookup>(texture, std::move(voxels));
+}
+
+std::unique_ptr<ShellTextureLookup> look_up_as_it_is(const ShellTexture& t) {
+  const std::size_t count = t.voxel_count();
+  const int directions = t.directions.count();
+  if (t.single.size() != count * directions || t.multiple.size() != count * (directions + 1))
+    throw InputError("shell texture function: its arrays do not have its size");
+  StoredVoxels voxels(t);
+  std::copy(t.multiple.end() - static_cast<std::ptrdiff_t>(count), t.multiple.end(), voxels.back.begin());
+  constexpr std::size_t block = 64;  // voxels: their lines stay in the cache from direction to direction
+  parallel_for((count + block - 1) / block,
+               [&](std::size_t b) {
+                 for (int l = 0; l < directions; ++l)
+                   for (std::size_t v = b * block; v < std::min(count, (b + 1) * block); ++v)
+                     voxels.at(v, l) = {t.single[t.at(l, v)], t.multiple[t.at(l, v)]};
+               },
+               16);
+  return look_up_voxels(t, std::move(voxels));
 }
 
 }  // namespace shellgrid

@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "solvers/diffusion/wide_lanes.h"
 #include "solvers/shell_texture/direction_blend.h"
 #include "solvers/shell_texture/shell_texture.h"
 
@@ -89,7 +90,19 @@ class ShellTextureReader {
   const ShellTextureLookup& lookup_;
 };
 
-// The values as they are, in single precision, those of a voxel side by side.
+// Values in single precision, those of a voxel side by side.
+struct StoredVoxels {
+  explicit StoredVoxels(const ShellTexture& texture);  // zeros, of its size
+  VoxelLight& at(std::size_t voxel, int direction) { return light.data()[voxel * directions + direction]; }
+  const VoxelLight* row(std::size_t voxel) const { return light.data() + voxel * directions; }
+
+  int directions = 0;
+  StreamBuffer<VoxelLight> light;
+  std::vector<Vec3f> back;
+};
+// texture: its own I_s and I_m are not looked at.
+std::unique_ptr<ShellTextureLookup> look_up_voxels(const ShellTexture& texture, StoredVoxels voxels);
+// The values as they are.
 std::unique_ptr<ShellTextureLookup> look_up_as_it_is(const ShellTexture& texture);
 // Of what passes through its bottom alone: it has no reader.
 std::unique_ptr<ShellTextureLookup> look_up_bottom(const ShellTexture& texture);

@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "solvers/shell_texture/spread_light.h"
 
+#ifdef __AVX512F__
+#include <immintrin.h>
+#endif
+
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 
 #include "meshing/core/error.h"
@@ -16,6 +21,7 @@ namespace {
 constexpr double counted_share = 0.97;  // of a kernel's light
 constexpr int cells_a_radius = 4;
 constexpr int reach = cells_a_radius + 1;
+constexpr std::size_t usual_parts = 160;
 constexpr double apart = 0.8;   // buckets farther off than so many cells count as wholes
 constexpr double sudden = 0.1;  // of the brightest: a difference within a cell that may be a shadow's
 
@@ -68,8 +74,10 @@ SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels&
   radius_ = kernels.radius(counted_share);
   edge_ = radius_ / cells_a_radius;
   areas_ = vertex_areas(mesh);
-  point_kernels_ = BandKernels(kernels);
-  whole_kernels_ = BandKernels(spread_out(kernels, edge_));
+  const IrradianceKernels whole = spread_out(kernels, edge_);
+  within_ = {BandKernels(kernels, 0, kernels.bottom()), BandKernels(whole, 0, kernels.bottom())};
+  bottom_ = {BandKernels(kernels, kernels.bottom(), kernels.bands()),
+             BandKernels(whole, kernels.bottom(), kernels.bands())};
   buckets_ = VertexBuckets(incident.frames(), areas_, edge_);
   const auto count = static_cast<std::size_t>(buckets_.count());
   kernel_areas_.resize(count);
@@ -98,37 +106,50 @@ const std::vector<DirectionWeight>& SpreadLight::at(int vertex) const { return e
 
 namespace {
 
-Float4 lanes(const Vec3f& v) { return to_lanes(v.array()); }
-Vec3f colour(Float4 v) { return {v[0], v[1], v[2]}; }
+using Lanes = BandKernels::Lanes;
 
-// Lists of light summed by direction, each by so many weights.
+// A colour four times.
+Lanes four_times(const Float4& colour) {
+#ifdef __AVX512F__
+  return reinterpret_cast<Lanes>(_mm512_broadcast_f32x4(reinterpret_cast<__m128>(colour)));
+#else
+  const float r = colour[0], g = colour[1], b = colour[2];
+  const Lanes wide = {r, g, b, 0, r, g, b, 0, r, g, b, 0, r, g, b, 0};
+  return wide;
+#endif
+}
+Lanes four_times(const Vec3f& v) { return four_times(to_lanes(v.array())); }
+Lanes four_times(const DirectionWeight& one) {
+  static_assert(sizeof(DirectionWeight) == sizeof(Float4) && offsetof(DirectionWeight, weight) == sizeof(float));
+  Float4 number_and_colour;
+  std::memcpy(&number_and_colour, &one, sizeof one);
+  return four_times(__builtin_shufflevector(number_and_colour, Float4{}, 1, 2, 3, 4));
+}
+// Of one of the four.
+Vec3f colour(const Lanes& wide, int k) { return {wide[4 * k], wide[4 * k + 1], wide[4 * k + 2]}; }
+
+// Lists of light summed by direction, each by so many weights, four in a register.
 class LightSums {
  public:
-  LightSums(int directions, int sums)
-      : count_(sums),
-        wide_((sums + 3) / 4),
-        weights_(wide_, Float16{}),
-        sums_(static_cast<std::size_t>(directions) * wide_, Float16{}) {}
-  void add(const Float4* weights, const std::vector<DirectionWeight>& light) {
-    Float16 own[most_wide];
-    for (int w = 0; w < wide_; ++w) {
-      Float4 four[4] = {};
-      for (int k = 0; k < 4 && 4 * w + k < count_; ++k) four[k] = weights[4 * w + k];
-      std::memcpy(&own[w], four, sizeof(Float16));
-      weights_[w] += own[w];
-    }
+  // Afresh, in the memory of those before.
+  void begin(int directions, int sums) {
+    wide_ = (sums + 3) / 4;
+    weights_.assign(wide_, Lanes{});
+    sums_.assign(static_cast<std::size_t>(directions) * wide_, Lanes{});
+  }
+  void add(const Lanes* weights, const std::vector<DirectionWeight>& light) {
+    for (int w = 0; w < wide_; ++w) weights_[w] += weights[w];
     for (const DirectionWeight& one : light) {
-      const float r = one.weight[0], g = one.weight[1], b = one.weight[2];
-      const Float16 all = {r, g, b, 0, r, g, b, 0, r, g, b, 0, r, g, b, 0};
-      Float16* sum = sums_.data() + static_cast<std::size_t>(one.direction) * wide_;
-      for (int w = 0; w < wide_; ++w) sum[w] += own[w] * all;
+      const Lanes all = four_times(one);
+      Lanes* sum = sums_.data() + static_cast<std::size_t>(one.direction) * wide_;
+      for (int w = 0; w < wide_; ++w) sum[w] += weights[w] * all;
     }
   }
   // Whether anything was added with a weight.
   bool any(int sum) const { return (weight(sum).array() > 0).any(); }
   std::vector<DirectionWeight> mean(int sum) const {
     const Vec3f over = weight(sum);
-    const auto at = [&](int d) { return part(sums_[static_cast<std::size_t>(d) * wide_ + sum / 4], sum % 4); };
+    const auto at = [&](int d) { return colour(sums_[static_cast<std::size_t>(d) * wide_ + sum / 4], sum % 4); };
     const auto directions = static_cast<int>(sums_.size()) / wide_;
     int lit = 0;
     for (int d = 0; d < directions; ++d) lit += (at(d).array() > 0).any();
@@ -139,46 +160,58 @@ class LightSums {
         list.push_back({d, (over.array() > 0).select(at(d).array() / over.array().max(1e-30f), 0.0f)});
     return list;
   }
-  static constexpr int most_wide = 8;  // of four sums each
 
  private:
-  using Float16 = float __attribute__((vector_size(64)));
-  static Vec3f part(const Float16& wide, int k) { return {wide[4 * k], wide[4 * k + 1], wide[4 * k + 2]}; }
-  Vec3f weight(int sum) const { return part(weights_[sum / 4], sum % 4); }
+  Vec3f weight(int sum) const { return colour(weights_[sum / 4], sum % 4); }
 
-  int count_, wide_;
-  std::vector<Float16> weights_, sums_;
+  int wide_ = 0;
+  std::vector<Lanes> weights_, sums_;
 };
+
+// Kept by each thread: allocated anew for every place, aligned memory among lists that stay leaves gaps.
+LightSums& kept_sums(int directions, int sums) {
+  thread_local LightSums kept;
+  kept.begin(directions, sums);
+  return kept;
+}
+std::vector<Lanes>& kept_weights() {
+  thread_local std::vector<Lanes> kept;
+  kept.clear();
+  return kept;
+}
 
 }  // namespace
 
-BandKernels::BandKernels(const IrradianceKernels& kernels)
-    : bands_(kernels.bands()), rings_(kernels.rings), per_ring_(1 / kernels.ring) {
+BandKernels::BandKernels(const IrradianceKernels& kernels, int first_band, int end_band)
+    : bands_(end_band - first_band), rings_(kernels.rings), per_ring_(1 / kernels.ring) {
+  values_.assign(static_cast<std::size_t>(kernels.count()) * (rings_ + 1) * wide(), Lanes{});
   for (int kernel = 0; kernel < kernels.count(); ++kernel)
-    for (int ring = 0; ring <= rings_; ++ring)
-      for (int band = 0; band < bands_; ++band)
-        values_.push_back(
-            ring == rings_ ? Float4{}
-                           : lanes(kernels.values[(static_cast<std::size_t>(kernel) * bands_ + band) * rings_ + ring]));
+    for (int ring = 0; ring < rings_; ++ring)
+      for (int band = 0; band < bands_; ++band) {
+        const Vec3f& value =
+            kernels.values[(static_cast<std::size_t>(kernel) * kernels.bands() + first_band + band) * rings_ + ring];
+        Lanes& to = values_[(static_cast<std::size_t>(kernel) * (rings_ + 1) + ring) * wide() + band / 4];
+        for (int c = 0; c < 3; ++c) to[4 * (band % 4) + c] = value[c];
+      }
 }
 
-void BandKernels::add(int kernel, double distance, float area, int first, int end, Float4* sums) const {
+void BandKernels::add(int kernel, double distance, float area, Lanes* sums) const {
   const double place = std::max(0.0, distance * per_ring_ - 0.5);
   if (place >= rings_) return;
-  const int ring = static_cast<int>(place);
-  const auto t = static_cast<float>(place - ring);
-  const Float4* row = values_.data() + (static_cast<std::size_t>(kernel) * (rings_ + 1) + ring) * bands_;
-  for (int band = first; band < end; ++band)
-    sums[band - first] += area * ((1 - t) * row[band] + t * row[bands_ + band]);
+  const int ring = static_cast<int>(place), count = wide();
+  const float second = area * static_cast<float>(place - ring), first = area - second;
+  const Lanes* row = values_.data() + (static_cast<std::size_t>(kernel) * (rings_ + 1) + ring) * count;
+  for (int w = 0; w < count; ++w) sums[w] += first * row[w] + second * row[count + w];
 }
 
 const SpreadLight::Entry& SpreadLight::mean_of(int bucket) const {
   return means_.get(bucket, [&] {
-    LightSums sum(incident_.directions().count(), 1);
+    for (const int v : buckets_[bucket].members) entry(v);
+    LightSums& sum = kept_sums(incident_.directions().count(), 1);
     Entry made;
     for (const int v : buckets_[bucket].members) {
       const Entry& own = entry(v);
-      const Float4 area = lanes(Vec3f::Constant(areas_[v]));
+      const Lanes area = four_times(Vec3f::Constant(areas_[v]));
       sum.add(&area, own.light);
       if (buckets_[bucket].area > 0)
         made.irradiance += areas_[v] / static_cast<float>(buckets_[bucket].area) * own.irradiance;
@@ -215,8 +248,8 @@ bool SpreadLight::is_even(int index) const {
   const VertexBuckets::Bucket& bucket = buckets_[index];
   const Vec3f own = mean_of(index).irradiance;
   Vec3f brightest = own;
-  const int bands = kernels_.bands();
-  std::vector<Float4> sums(bands, Float4{}), lights(bands, Float4{}), weights(bands);
+  const int inner = within_.whole.wide(), wide = inner + bottom_.whole.wide();
+  std::vector<Lanes> sums(wide, Lanes{}), lights(wide, Lanes{}), weights(wide);
   for (const int other : about(index)) {
     const VertexBuckets::Bucket& about = buckets_[other];
     if (!(about.facing.dot(bucket.facing) > 0)) continue;
@@ -224,20 +257,23 @@ bool SpreadLight::is_even(int index) const {
     if (distance - about.radius > radius_) continue;
     const Vec3f light = mean_of(other).irradiance;
     brightest = brightest.cwiseMax(light);
-    std::fill(weights.begin(), weights.end(), Float4{});
-    for (const auto& [kernel, area] : kernel_areas_[other])
-      whole_kernels_.add(kernel, distance, area, 0, bands, weights.data());
-    for (int band = 0; band < bands; ++band) {
-      sums[band] += weights[band];
-      lights[band] += weights[band] * lanes(light);
+    std::fill(weights.begin(), weights.end(), Lanes{});
+    for (const auto& [kernel, area] : kernel_areas_[other]) {
+      within_.whole.add(kernel, distance, area, weights.data());
+      bottom_.whole.add(kernel, distance, area, weights.data() + inner);
+    }
+    const Lanes all = four_times(light);
+    for (int w = 0; w < wide; ++w) {
+      sums[w] += weights[w];
+      lights[w] += weights[w] * all;
     }
   }
   bool even = true;
   const auto differ = [&](const Vec3f& light, double share) {
     return ((light - own).array().abs() > static_cast<float>(share) * brightest.array()).any();
   };
-  for (int band = 0; band < bands && even; ++band) {
-    const Vec3f sum = colour(sums[band]), light = colour(lights[band]);
+  for (int k = 0; k < 4 * wide && even; ++k) {
+    const Vec3f sum = colour(sums[k / 4], k % 4), light = colour(lights[k / 4], k % 4);
     even = !differ((sum.array() > 0).select(light.array() / sum.array().max(1e-30f), own.array()), 0.8 * unevenness);
   }
   for (std::size_t k = 0; k < bucket.members.size() && even; ++k)
@@ -258,70 +294,78 @@ bool SpreadLight::is_even_about(int index) const {
 
 std::vector<std::vector<DirectionWeight>> SpreadLight::spread(int vertex) const {
   if (kernels_.empty()) return {};
-  return worked_out(vertex, 0, kernels_.bottom());
+  return worked_out(vertex, within_);
 }
 
 std::vector<DirectionWeight> SpreadLight::at_bottom(int vertex) const {
   if (kernels_.empty()) return at(vertex);
-  auto spread = worked_out(vertex, kernels_.bottom(), kernels_.bands());
+  auto spread = worked_out(vertex, bottom_);
   return spread.empty() ? at(vertex) : std::move(spread.front());
 }
 
-std::vector<std::vector<DirectionWeight>> SpreadLight::worked_out(int vertex, int first_band, int end_band) const {
+std::vector<std::vector<DirectionWeight>> SpreadLight::worked_out(int vertex, const Reach& reach) const {
   if (is_even_about(buckets_.of_vertex(vertex))) return {};
   const TexturedFrames& frames = incident_.frames();
   const Vec3 point = frames.mesh.vertex(vertex), normal = frames.normals.row(vertex).transpose();
-  const int bands = end_band - first_band;
+  const int bands = reach.point.bands(), wide = reach.point.wide();
   std::vector<const Entry*> parts;
-  std::vector<Float4> weights;  // of each part, by bands
-  const auto add = [&](const Entry& entry) {
-    parts.push_back(&entry);
-    weights.resize(weights.size() + bands, Float4{});
-    return weights.data() + weights.size() - bands;
+  parts.reserve(usual_parts);
+  const Entry& own = entry(vertex);
+  struct Part {
+    int bucket, vertex;  // vertex −1: all of the bucket
+    double distance;
   };
+  std::vector<Part> places;
+  places.reserve(usual_parts);
   for (const int index : about(buckets_.of_vertex(vertex))) {
     const VertexBuckets::Bucket& bucket = buckets_[index];
     if (!(bucket.facing.dot(normal) > 0)) continue;
     const double distance = (bucket.middle - point).norm();
     if (distance - bucket.radius > radius_) continue;
     if (distance > apart * edge_ + bucket.radius) {
-      Float4* const weight = add(mean_of(index));
-      for (const auto& [kernel, area] : kernel_areas_[index])
-        whole_kernels_.add(kernel, distance, area, first_band, end_band, weight);
+      parts.push_back(&mean_of(index));
+      places.push_back({index, -1, distance});
       continue;
     }
-    for (const int v : bucket.members)
-      point_kernels_.add(kernel_of(v), (frames.mesh.vertex(v) - point).norm(), areas_[v], first_band, end_band,
-                         add(entry(v)));
+    for (const int v : bucket.members) {
+      parts.push_back(&entry(v));
+      places.push_back({index, v, (frames.mesh.vertex(v) - point).norm()});
+    }
   }
-  const Entry& own = entry(vertex);
   Vec3f brightest = own.irradiance;
   for (const Entry* part : parts) brightest = brightest.cwiseMax(part->irradiance);
-  std::vector<std::vector<DirectionWeight>> result;
-  if (!(brightest.array() > 0).any()) return result;
+  if (!(brightest.array() > 0).any()) return {};
   const Vec3f bound = static_cast<float>(unevenness) * brightest;
   bool even = true;
   for (const Entry* part : parts)
     even = even && !((part->irradiance - own.irradiance).array().abs() > bound.array()).any();
-  if (even) return result;
+  if (even) return {};
+  std::vector<Lanes>& weights = kept_weights();  // of each part, by bands
+  weights.resize(parts.size() * wide, Lanes{});
+  for (std::size_t p = 0; p < places.size(); ++p) {
+    const Part& part = places[p];
+    Lanes* const to = weights.data() + p * wide;
+    if (part.vertex >= 0)
+      reach.point.add(kernel_of(part.vertex), part.distance, areas_[part.vertex], to);
+    else
+      for (const auto& [kernel, area] : kernel_areas_[part.bucket]) reach.whole.add(kernel, part.distance, area, to);
+  }
   even = true;
-  for (int band = 0; band < bands && even; ++band) {
-    Float4 sum{}, light{};
+  for (int w = 0; w < wide && even; ++w) {
+    Lanes sum{}, light{};
     for (std::size_t p = 0; p < parts.size(); ++p) {
-      sum += weights[p * bands + band];
-      light += weights[p * bands + band] * lanes(parts[p]->irradiance);
+      sum += weights[p * wide + w];
+      light += weights[p * wide + w] * four_times(parts[p]->irradiance);
     }
-    for (int c = 0; c < 3; ++c)
-      if (sum[c] > 0 && std::abs(light[c] / sum[c] - own.irradiance[c]) > bound[c]) even = false;
+    for (int k = 0; k < 16; ++k)
+      if (k % 4 < 3 && sum[k] > 0 && std::abs(light[k] / sum[k] - own.irradiance[k % 4]) > bound[k % 4]) even = false;
   }
-  if (even) return result;
-  constexpr int together = 4 * LightSums::most_wide;
-  for (int first = 0; first < bands; first += together) {
-    const int count = std::min(together, bands - first);
-    LightSums sums(incident_.directions().count(), count);
-    for (std::size_t p = 0; p < parts.size(); ++p) sums.add(weights.data() + p * bands + first, parts[p]->light);
-    for (int k = 0; k < count; ++k) result.push_back(sums.any(k) ? sums.mean(k) : own.light);
-  }
+  if (even) return {};
+  LightSums& sums = kept_sums(incident_.directions().count(), bands);
+  for (std::size_t p = 0; p < parts.size(); ++p) sums.add(weights.data() + p * wide, parts[p]->light);
+  std::vector<std::vector<DirectionWeight>> result;
+  result.reserve(static_cast<std::size_t>(bands));
+  for (int k = 0; k < bands; ++k) result.push_back(sums.any(k) ? sums.mean(k) : own.light);
   ++spread_vertices_;
   return result;
 }

@@ -17,18 +17,22 @@ namespace shellgrid {
 enum class IrradianceCorrection { none, one_kernel, kernels };
 IrradianceKernels corrected_by(const IrradianceKernels& kernels, IrradianceCorrection correction);
 
-// Kernels with what lies at one distance side by side, for all bands at once.
+// Some bands of kernels with what lies at one distance side by side, four bands in a register.
 class BandKernels {
  public:
+  using Lanes = float __attribute__((vector_size(64)));  // red, green, blue and nothing, of four bands
+
   BandKernels() = default;
-  explicit BandKernels(const IrradianceKernels& kernels);
-  // Adds `area` times each band's value at that distance, mm, from band `first` on; as IrradianceKernels::value.
-  void add(int kernel, double distance, float area, int first, int end, Float4* sums) const;
+  BandKernels(const IrradianceKernels& kernels, int first_band, int end_band);
+  int bands() const { return bands_; }
+  int wide() const { return (bands_ + 3) / 4; }  // registers
+  // Adds `area` times each band's value at that distance, mm; as IrradianceKernels::value.
+  void add(int kernel, double distance, float area, Lanes* sums) const;
 
  private:
   int bands_ = 0, rings_ = 0;
   double per_ring_ = 0;
-  std::vector<Float4> values_;  // at (kernel · (rings + 1) + ring) · bands + band; the last ring's are 0
+  std::vector<Lanes> values_;  // at (kernel · (rings + 1) + ring) · wide; the last ring's are 0
 };
 
 // The shell texture function takes the light that one place of the surface gets to shine on all of the sample. Where it
@@ -63,7 +67,11 @@ class SpreadLight {
   };
   const Entry& entry(int vertex) const;
   const Entry& mean_of(int bucket) const;
-  std::vector<std::vector<DirectionWeight>> worked_out(int vertex, int first_band, int end_band) const;
+  // By distance; of light that enters at a vertex, and all over a bucket.
+  struct Reach {
+    BandKernels point, whole;
+  };
+  std::vector<std::vector<DirectionWeight>> worked_out(int vertex, const Reach& reach) const;
   // Whether light is even all about a bucket, as told by its own and its neighbours' means.
   bool is_even_about(int bucket) const;
   bool is_even(int bucket) const;
@@ -74,8 +82,7 @@ class SpreadLight {
   IrradianceKernels kernels_;
   Vec3i sample_;
   const std::vector<Vec2f>& coordinates_;
-  // By distance, bands side by side; of light that enters at a vertex, and all over a bucket.
-  BandKernels point_kernels_, whole_kernels_;
+  Reach within_, bottom_;         // of all bands but the bottom; of the bottom
   double radius_ = 0, edge_ = 0;  // of what counts, mm; of the buckets' cells, mm
   std::vector<float> areas_;      // of vertices, mm²
   VertexBuckets buckets_;
