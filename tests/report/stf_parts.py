@@ -74,9 +74,9 @@ def lights_apart(study, sizes):
                 "[STF, figure 8]. Without mirror light the two add up to the whole.",
                 ["light", "share of all", "sg-render, processor s"])
     mesh = study.at("torus.off")
-    programs.write_off(mesh, programs.torus())
+    programs.write_off(mesh, scenes.torus())
     sample = study.write("parts", "sample.json", scenes.description("spots", size=[48, 48], count=22))
-    scene = study.make("parts", scenes.scene(mesh, 50 * sizes.size, sample, 2.4, 0.4, sizes.camera((30, 60, 150), 17),
+    scene = study.make("parts", scenes.scene(mesh, 50 * sizes.size, sample, 2.4, 0.4, sizes.camera((30, 60, 150), 20),
                                              [scenes.STUDIO], 1.5), "image.exr")
     found = {light: scene.picture(light, "--light", light, "--contrast", 0) for light in ("core", "outside", "all")}
     inside = found["all"][0]["A"] >= 1
@@ -212,10 +212,10 @@ def against_paths(study, sizes):
                 "takes to come to the same error follows from its shorter run by its 1/√n law [STF, figure 11].",
                 ["way", "error", "of all light", "noise of the truth", "processor s"])
     mesh = study.at("torus.off")
-    programs.write_off(mesh, programs.torus())
+    programs.write_off(mesh, scenes.torus())
     sample = study.write("reference", "sample.json", scenes.description("marble", size=[64, 64], voxel=0.5))
     width, height = 3 * sizes.width, 3 * sizes.height
-    content = scenes.scene(mesh, 80 * sizes.size, sample, 4, 0.5, scenes.camera([sizes.size * x for x in (48, 96, 240)], 17, width, height),
+    content = scenes.scene(mesh, 80 * sizes.size, sample, 4, 0.5, scenes.camera([sizes.size * x for x in (48, 96, 240)], 20, width, height),
                            [scenes.STUDIO], 1.5)
     scene = study.make("reference", content, "image.exr")
     many, few = sizes.paths(32), sizes.paths(4)

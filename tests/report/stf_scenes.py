@@ -11,7 +11,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path.append(os.path.join(HERE, "..", "support"))
 import programs
 import shape_samples
-from phantom import write_nrrd
+from phantom import wax, write_nrrd
 from ply_file import read_ply, write_ply
 
 SAMPLES = os.path.join(HERE, "..", "..", "assets", "samples")
@@ -109,19 +109,22 @@ def revolved(profile, around=96):
     return points, faces
 
 
+def torus():
+    """Fine enough for smooth highlights."""
+    return programs.torus(around=144, across=72)
+
+
 def strawberry():
+    """Broad shoulders round a hollow, a blunt tip."""
     t = numpy.linspace(0, 1, 80)
-    heights = 1.25 * (1 - numpy.cos(numpy.pi * t)) / 2
-    radii = 0.5 * numpy.sin(numpy.pi * t) ** 0.8 * (0.55 + 0.75 * t ** 0.8)
+    radii = 0.5 * numpy.sin(numpy.pi * t) ** 0.75 * (0.42 + 0.75 * t)
+    heights = 1.2 * (1 - numpy.cos(numpy.pi * t)) / 2 - 0.14 * (t > 0.5) * numpy.exp(-(radii / 0.16) ** 2)
     return revolved(numpy.stack([radii, heights], axis=1))
 
 
-def soap():
-    """A smooth block, thick enough for deep shells."""
-    points, faces = programs.icosphere(5)
-    power = lambda x, e: numpy.sign(x) * numpy.abs(x) ** e
-    points = power(numpy.array(points), 0.62)
-    return (points * numpy.array([1, 0.72, 0.85])).tolist(), faces
+def lumpy_wax(path):
+    """A tomogram of wax with balls of one density, so that no rim of theirs passes for another, below a lumpy surface."""
+    write_nrrd(path, wax((36, 36, 16), 3, (1.8, 0.8, 2.5, 2), 12, (3, 4.6), 3.4, (220.0,)), (0.4, 0.4, 0.4))
 
 
 def overhang():
@@ -149,19 +152,36 @@ def gallery(study, sizes):
     view = lambda position, fov, look_at=(0, 0, 0): camera(position, fov, width, height, look_at)
     mesh = lambda name, shape: (programs.write_off(study.at(name + ".off"), shape), study.at(name + ".off"))[1]
     bunny = os.path.abspath(sizes.bunny) if sizes.bunny else mesh("pear", shape_samples.pear())
-    of = lambda name, **changes: study.write("gallery-samples", name + ".json", description(name, **changes))
-    front = view((-38, 38, 206), 26)
-    back = view((70, 30, -190), 26)
-    lit = {"floor": FLOOR, "samples": 4}
-    yield ("jade-torus", scene(mesh("torus", programs.torus()), 60, of("spots", size=[48, 48], count=22), 4, 0.4,
-                               view((40, 75, 150), 25), GALLERY_LIGHTS, 1.5, **lit), [("jade-torus", view((40, 75, 150), 25))])
-    # Larger and with lower bumps: its ears are thinner than the others' are high.
-    near = view((-47, 47, 257), 26)
-    yield ("bumpy-bunny", scene(bunny, 100, of("bumps", size=[48, 48], voxel=0.5, thickness=4.5, count=36, radius=1.2, lift=0.4), 4.5,
-                                0.5, near, GALLERY_LIGHTS, 1.4, **lit), [("bumpy-bunny", near)])
+    write = lambda name, content: study.write("gallery-samples", name + ".json", content)
+    of = lambda name, **changes: write(name, description(name, **changes))
+    lit = {"floor": FLOOR}
+
+    whole = view((36, 72, 140), 25)
+    jade = of("spots", size=[64, 64], count=90, radius=1.1, variation=0.9, softness=1.6,
+              materials={"body": {"absorption": [0.022, 0.004, 0.014], "scattering": [0.75, 0.85, 0.75]},
+                         "spot": {"absorption": [0.30, 0.05, 0.20], "scattering": [1.0, 1.1, 1.0]}})
+    yield ("jade-torus", scene(mesh("torus", torus()), 60, jade, 4, 0.4, whole, GALLERY_LIGHTS, 1.5, **lit), [("jade-torus", whole)])
+
+    near = view((-61, 61, 334), 26)
+    bumps = of("bumps", size=[56, 56], voxel=0.45, thickness=4.5, count=60, radius=1.0, lift=0.3)
+    yield ("bumpy-bunny", scene(bunny, 130, bumps, 4.5, 0.45, near, GALLERY_LIGHTS, 1.4, **lit), [("bumpy-bunny", near)])
+
+    front, back = view((-38, 38, 206), 26), view((70, 30, -190), 26)
     yield ("marble-bunny", scene(bunny, 80, of("marble"), 4, 0.4, front, GALLERY_LIGHTS, 1.5, **lit),
            [("marble-bunny", front), ("marble-bunny-from-behind", back)])
-    yield ("wax-soap", scene(mesh("soap", soap()), 90, of("wax"), 12, 0.5, view((60, 70, 190), 26), GALLERY_LIGHTS, 1.43, **lit),
-           [("wax-soap", view((60, 70, 190), 26))])
-    yield ("strawberry", scene(mesh("strawberry", strawberry()), 32, of("strawberry"), 3.6, 0.2,
-                               view((20, 22, 78), 28), GALLERY_LIGHTS, 1.35, **lit), [("strawberry", view((20, 22, 78), 28))])
+
+    tomogram = study.at("gallery-samples", "wax.nrrd")
+    balls = description("wax", thickness=6.4, file=tomogram)
+    balls["classes"] = [{"from": 0, "to": 20, "free": True},
+                        {"from": 80, "to": 100, "material": {"absorption": [0.003, 0.006, 0.018], "scattering": [0.5, 0.5, 0.55]}},
+                        {"from": 205, "to": 255, "material": {"absorption": [0.30, 0.9, 0.06], "scattering": [1.5, 1.2, 1.6]}}]
+    wax_sample = write("wax", balls)
+    lumpy_wax(tomogram)
+    ring = view((43, 86, 168), 25)
+    yield ("wax-torus", scene(mesh("torus", torus()), 72, wax_sample, 6.4, 0.4, ring, GALLERY_LIGHTS, 1.43, **lit), [("wax-torus", ring)])
+
+    skin = description("strawberry")
+    skin["parts"][0]["material"] = {"absorption": [0.05, 2.2, 2.4], "scattering": [1.9, 1.3, 1.2]}
+    above = view((18, 30, 74), 28)
+    yield ("strawberry", scene(mesh("strawberry", strawberry()), 32, write("strawberry", skin), 3.6, 0.2, above, GALLERY_LIGHTS, 1.35,
+                               **lit), [("strawberry", above)])

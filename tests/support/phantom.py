@@ -10,19 +10,22 @@ import sys
 import numpy
 
 
-def wax(size=(48, 48, 28), seed=5):
-    """Values 0 (air) … 255 by density: air 10, wax 90, balls 140, 185 and 230."""
+def wax(size=(48, 48, 28), seed=5, surface=(3.5, 1.2, 2, 1.5), balls=26, radii=(2.6, 4.6), top=7,
+        densities=(140.0, 185.0, 230.0)):
+    """Values 0 (air) … 255 by density: air 10, wax 90, balls by turns `densities`. surface: its mean depth, the height of
+    its waves, and how many there are along x and y; radii of the balls and least depth of their tops; in voxels."""
     random = numpy.random.RandomState(seed)
     fine = 2
     x, y, z = numpy.meshgrid(*[(numpy.arange(n * fine) + 0.5) / fine for n in size], indexing="ij")
-    surface = 3.5 + 1.2 * numpy.sin(2 * numpy.pi * x / size[0] * 2 + 1) * numpy.cos(2 * numpy.pi * y / size[1] * 1.5)
-    value = numpy.where(z > surface, 90.0, 10.0)
+    depth, height, along_x, along_y = surface
+    level = depth + height * numpy.sin(2 * numpy.pi * x / size[0] * along_x + 1) * numpy.cos(2 * numpy.pi * y / size[1] * along_y)
+    value = numpy.where(z > level, 90.0, 10.0)
     placed = []
-    while len(placed) < 26:
-        radius = random.uniform(2.6, 4.6)
-        centre = numpy.array([random.uniform(0, size[0]), random.uniform(0, size[1]), random.uniform(7 + radius, size[2])])
+    while len(placed) < balls:
+        radius = random.uniform(*radii)
+        centre = numpy.array([random.uniform(0, size[0]), random.uniform(0, size[1]), random.uniform(top + radius, size[2])])
         if all(numpy.linalg.norm(centre - c) > radius + r + 0.7 for c, r, _ in placed):
-            placed.append((centre, radius, [140.0, 185.0, 230.0][len(placed) % 3]))
+            placed.append((centre, radius, densities[len(placed) % len(densities)]))
     for centre, radius, density in placed:
         value[(x - centre[0]) ** 2 + (y - centre[1]) ** 2 + (z - centre[2]) ** 2 < radius ** 2] = density
     value = value.reshape(size[0], fine, size[1], fine, size[2], fine).mean(axis=(1, 3, 5))
