@@ -16,6 +16,7 @@ namespace {
 
 constexpr float pi = std::numbers::pi_v<float>;
 constexpr std::int32_t free_space_kind = 0;
+constexpr float gentle = 0.5f;  // a difference of irradiance, of the nearest vertex', that the colours do not tell of
 
 }  // namespace
 
@@ -35,6 +36,15 @@ ShellLight::ShellLight(const ShellVolume& shell, const TexturedFrames& frames, c
       lights_(static_cast<std::size_t>(frames.mesh.vertex_count())) {
   if (!core.empty() && core.size() != lights_.size())
     throw InputError("the core's exitance does not have the surface's size");
+  const TriangleMesh& mesh = frames.mesh;
+  first_face_.assign(lights_.size() + 1, 0);
+  for (int f = 0; f < mesh.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) ++first_face_[mesh.faces(f, k) + 1];
+  for (std::size_t v = 0; v < lights_.size(); ++v) first_face_[v + 1] += first_face_[v];
+  std::vector<int> next(first_face_.begin(), first_face_.end() - 1);
+  faces_about_.resize(static_cast<std::size_t>(first_face_.back()));
+  for (int f = 0; f < mesh.face_count(); ++f)
+    for (int k = 0; k < 3; ++k) faces_about_[next[mesh.faces(f, k)]++] = f;
 }
 
 ShellLight::Counts ShellLight::counts() const {
@@ -60,15 +70,62 @@ Vec3 ShellLight::refracted_direction(int direction) const {
   return {within.x(), within.y(), std::sqrt(std::max(0.0, 1 - within.squaredNorm()))};
 }
 
+ShellLight::SurfacePlace ShellLight::place_about(int vertex, const Vec3& point) const {
+  const TriangleMesh& mesh = frames_.mesh;
+  SurfacePlace best{{vertex, vertex, vertex}, {1, 0, 0}};
+  double least = -std::numeric_limits<double>::infinity();
+  for (int i = first_face_[vertex]; i < first_face_[vertex + 1]; ++i) {
+    const int face = faces_about_[i];
+    const Vec3 a = mesh.vertex(mesh.faces(face, 0)), u = mesh.vertex(mesh.faces(face, 1)) - a,
+               v = mesh.vertex(mesh.faces(face, 2)) - a, at = point - a;
+    const Vec3 normal = u.cross(v);
+    const double square = normal.squaredNorm();
+    if (!(square > 0)) continue;
+    const double second = at.cross(v).dot(normal) / square, third = u.cross(at).dot(normal) / square;
+    const Vec3 weights(1 - second - third, second, third);
+    if (!(weights.minCoeff() > least)) continue;
+    least = weights.minCoeff();
+    const Vec3 kept = weights.cwiseMax(0) / weights.cwiseMax(0).sum();
+    for (int k = 0; k < 3; ++k) {
+      best.vertices[k] = mesh.faces(face, k);
+      best.weights[k] = static_cast<float>(kept[k]);
+    }
+  }
+  return best;
+}
+
+ShellLight::SurfaceLight ShellLight::prepared(std::vector<DirectionWeight> list) const {
+  SurfaceLight made;
+  for (const DirectionWeight& one : list)
+    made.irradiance += one.weight * static_cast<float>(texture_.directions().direction(one.direction).z());
+  made.light = texture_.prepare(std::move(list));
+  return made;
+}
+
+// Where the light is nearly that of the nearest vertex it is the same in another strength.
+template <class Part, class LookUp>
+Vec3f ShellLight::between(const SurfacePlace& place, const SurfaceLight& own, const Part& part, const LookUp& look_up) {
+  Vec3f irradiance = Vec3f::Zero();
+  for (int k = 0; k < 3; ++k)
+    if (place.weights[k] > 0) irradiance += place.weights[k] * part(place.vertices[k]).irradiance;
+  if (((irradiance - own.irradiance).array().abs() <= gentle * own.irradiance.array()).all())
+    return look_up(own.light).array() *
+           (own.irradiance.array() > 0).select(irradiance.array() / own.irradiance.array().max(1e-30f), 1.0f);
+  Vec3f sum = Vec3f::Zero();
+  for (int k = 0; k < 3; ++k)
+    if (place.weights[k] > 0) sum += place.weights[k] * look_up(part(place.vertices[k]).light);
+  return sum;
+}
+
 const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
   if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
   auto made = std::make_unique<VertexLight>();
-  made->light = texture_.prepare(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
+  made->light = prepared(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
   if (parts_.outside)
     for (std::vector<DirectionWeight>& band : incident_.spread(vertex))
-      made->spread.push_back(texture_.prepare(std::move(band)));
+      made->spread.push_back(prepared(std::move(band)));
   double sum = 0, weights = 0;
-  for (const DirectionWeight& one : made->light.list) {
+  for (const DirectionWeight& one : made->light.light.list) {
     const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();
     sum += weight / (1 + 1 / refracted_direction(one.direction).z());
     weights += weight;
@@ -106,13 +163,25 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
   const VertexLight& light = light_at(vertex);
   const std::size_t sampled = sample_voxel(place, value.offset);
   value.whole = texture_.matter()[sampled] > 0.999f;
-  VoxelLight around;
-  if (light.spread.empty() || !value.whole) around = texture.at(place, light.light);
-  if (!light.spread.empty())
-    around.multiple = texture.at(place, light.spread[texture_.kernels().band_of(static_cast<int>(place.z()))]).multiple;
-  if (value.whole) around.single = texture.voxel_light(sampled, light.light).single;
-  value.multiple = around.multiple.array().max(0);
-  value.single = around.single.array().max(0);
+  const SurfacePlace on_surface = place_about(vertex, shell_.frame.to_world(voxel));
+  const PreparedLight& own = light.light.light;
+  if (light.spread.empty()) {
+    const VoxelLight around = texture.at(place, own);
+    value.multiple = around.multiple;
+    value.single = value.whole ? texture.voxel_light(sampled, own).single : around.single;
+  } else {
+    const int band = texture_.kernels().band_of(static_cast<int>(place.z()));
+    value.multiple = between(
+        on_surface, light.spread[band], [&](int v) -> const SurfaceLight& { return light_at(v).in_band(band); },
+        [&](const PreparedLight& part) { return texture.at(place, part).multiple; });
+    value.single = between(
+        on_surface, light.light, [&](int v) -> const SurfaceLight& { return light_at(v).light; },
+        [&](const PreparedLight& part) {
+          return value.whole ? texture.voxel_light(sampled, part).single : texture.at(place, part).single;
+        });
+  }
+  value.multiple = value.multiple.max(0);
+  value.single = value.single.max(0);
   Rgb back = Rgb::Ones();
   if (curvature_) {
     const BentShell::Ratios bent = curvature_->at(vertex, place.z());
@@ -122,7 +191,7 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
     back = bent.back;
   }
   // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
-  if (has_core()) value.multiple += 2 * core_[vertex] * back * texture.back(place).array().max(0);
+  if (has_core()) value.multiple += 2 * core_exitance(on_surface) * back * texture.back(place).array().max(0);
   ++voxels_;
   return value;
 }
@@ -195,7 +264,7 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
       phase_direction_ = direction;
       phase_anisotropy_ = anisotropy;
       const Vec3 seen = frame * direction;
-      std::vector<DirectionWeight> list = light.light.list;
+      std::vector<DirectionWeight> list = light.light.light.list;
       for (DirectionWeight& one : list) {
         const double cosine = light_.refracted_direction(one.direction).dot(seen);
         for (int c = 0; c < 3; ++c)

@@ -31,7 +31,8 @@ class ShellLight {
              const ShellCurvature* curvature = nullptr);
 
   const ShellVolume& shell() const { return shell_; }
-  const Rgb& core_exitance(int vertex) const { return core_[vertex]; }
+  // Linear between the vertices about a point; `vertex` is the nearest one.
+  Rgb core_exitance(int vertex, const Vec3& point) const { return core_exitance(place_about(vertex, point)); }
   bool has_core() const { return !core_.empty() && parts_.core; }
 
   struct Counts {
@@ -97,12 +98,32 @@ class ShellLight {
  private:
   VoxelFluence work_out(int leaf_index, int offset, const Vec3i& voxel, ShellTextureReader& texture, int& vertex) const;
   Leaf& leaf(int leaf_index) const;
-  struct VertexLight {
+  struct SurfaceLight {
     PreparedLight light;
-    std::vector<PreparedLight> spread;  // of each of the kernels' bands; none where the light is even
+    Vec3f irradiance = Vec3f::Zero();
+  };
+  struct VertexLight {
+    SurfaceLight light;
+    std::vector<SurfaceLight> spread;  // of each of the kernels' bands; none where the light is even
     float way = 0;  // of refracted beams for each step down, 1/cosθ; of many beams the one that serves for all
+    const SurfaceLight& in_band(int band) const { return spread.empty() ? light : spread[band]; }
   };
   const VertexLight& light_at(int vertex) const;
+  SurfaceLight prepared(std::vector<DirectionWeight> list) const;
+  // A triangle's vertices and barycentric weights: where a point lies above or below the faces about a vertex.
+  struct SurfacePlace {
+    std::array<int, 3> vertices = {};
+    std::array<float, 3> weights = {};
+  };
+  SurfacePlace place_about(int vertex, const Vec3& point) const;
+  Rgb core_exitance(const SurfacePlace& place) const {
+    return place.weights[0] * core_[place.vertices[0]] + place.weights[1] * core_[place.vertices[1]] +
+           place.weights[2] * core_[place.vertices[2]];
+  }
+  // `look_up` of the light of the place's vertices, linear between them. part: a vertex's light; own: the nearest
+  // one's.
+  template <class Part, class LookUp>
+  static Vec3f between(const SurfacePlace& place, const SurfaceLight& own, const Part& part, const LookUp& look_up);
   // The table's direction within matter below a smooth surface.
   Vec3 refracted_direction(int direction) const;
   std::size_t sample_voxel(const Vec3f& place, Vec3f& offset) const;
@@ -116,6 +137,7 @@ class ShellLight {
   const ShellCurvature* curvature_;
   double relative_ior_;
   NearestVertexQuery vertices_;
+  std::vector<int> first_face_, faces_about_;  // of vertices: of vertex v from first_face_[v] on
   mutable std::vector<std::atomic<Leaf*>> leaves_;
   mutable std::vector<std::unique_ptr<Leaf>> owned_;
   mutable std::mutex mutex_;

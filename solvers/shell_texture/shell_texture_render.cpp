@@ -194,7 +194,7 @@ class ShellPicture {
     const float rest = left.maxCoeff();
     if (in_core) {
       if (settings_.unscattered_core && vertex >= 0 && light_.has_core())
-        sum += left * light_.core_exitance(vertex) / pi;
+        sum += left * light_.core_exitance(vertex, sight.point + t * sight.direction) / pi;
       return sum;
     }
     if (ends && t >= end && static_cast<double>(rest) * weight > faint && mirrors > 0)

@@ -109,7 +109,7 @@ def shell_layers(study, sizes):
     sample = study.write("layers", "sample.json", scenes.blocks_sample(volume))
     voxel, ior = 0.25, 1.3
     scene = study.make("layers", scenes.scene(mesh, 24 * sizes.size, sample, 16 * voxel, voxel,
-                                              sizes.camera((60, 70, 100), 15), [scenes.SKY], ior),
+                                              sizes.camera((60, 70, 100), 18), [scenes.SKY], ior),
                        "synthesized.ply", "distance.vdb", "sample.vdb")
     scene.surface = scenes.lay_on_faces(scene.made("synthesized.ply"), scene.at("laid.ply"), voxel, 24)
     own = lambda kind, layers: scene.at("%s.%d.vdb" % (kind, layers))
@@ -132,7 +132,7 @@ def shell_layers(study, sizes):
     part.values["errors"] = [error for error, _ in errors]
     falls = all(more[0] < less[0] + more[1] for more, less in zip(errors, errors[1:]))
     part.expect("fewer layers err more, the dipole most", falls)
-    sheet(study, part, "layers", shown, exposure_of(shown[1], truth.inside), "By light paths; %s layers; the dipole." % ", ".join(map(str, counts)))
+    sheet(study, part, "layers", shown, 1.25 * exposure_of(shown[1], truth.inside), "By light paths; %s layers; the dipole." % ", ".join(map(str, counts)))
     path = os.path.join(study.output, "layers-difference.png")
     save(path, *(difference(smoothed(p, 1), smoothed(truth.mean, 1), truth.mean[truth.inside].mean()) for p in shown[1:]))
     part.figure(path, "Brighter (red) and darker (blue) than by light paths, full colour at its mean.")
@@ -194,8 +194,8 @@ def shadow_border(study, sizes):
         shown.append(colours(picture, "exitance."))
     part.values["errors"] = {how: [band["error"] for band in found] for how, found in errors.items()}
     share = lambda band: errors["kernels"][band]["error"] / errors["none"][band]["error"]
-    part.expect("kernels leave %.2f of the error, %.2f in the sun and %.2f in the shadow, at most 0.85, 0.8 and 0.4" %
-                (share(0), share(1), share(2)), share(0) < 0.85 and share(1) < 0.8 and share(2) < 0.4)
+    part.expect("kernels leave %.2f of the error, %.2f in the sun and %.2f in the shadow, at most 0.75, 0.7 and 0.3" %
+                (share(0), share(1), share(2)), share(0) < 0.75 and share(1) < 0.7 and share(2) < 0.3)
     part.expect("eight kernels err no more than one", errors["kernels"][0]["error"] <
                 errors["one"][0]["error"] + errors["one"][0]["uncertainty"])
     sheet(study, part, "shadow", shown, exposure_of(truth.mean, truth.inside),

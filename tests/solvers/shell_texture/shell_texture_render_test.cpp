@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <numbers>
@@ -114,6 +115,25 @@ TEST(ShellTextureRender, MarchesThroughLightAndCore) {
       EXPECT_GT(statistics.leaves_skipped, 20 * statistics.leaves_lit);
       EXPECT_GT(statistics.march_steps, 0);
     }
+}
+
+// Between vertices, the core's light is linear, not that of the nearest one.
+TEST(ShellTextureRender, InterpolatesTheCoreBetweenVertices) {
+  Ball ball;
+  for (int v = 0; v < ball.mesh.vertex_count(); ++v) {
+    const double x = ball.mesh.vertex(v).x();
+    ball.core[v] = Rgb(1, static_cast<float>(std::max(0.0, 1 + 0.2 * x)), 1);
+  }
+  ShellTextureSettings settings;
+  settings.outside_light = false;
+  const RenderedImage picture = ball.picture(settings);
+  const std::vector<float>&even = picture.image.find("exitance.R")->values,
+        &rising = picture.image.find("exitance.G")->values;
+  // The camera sees 5.6 mm of the ball across, x to the right; most of the light comes from the shell's bottom.
+  for (int i = 0; i < 81; ++i) {
+    const double x = ((i % 9 + 0.5) / 9 - 0.5) * 2 * 160 * std::tan(pi / 180);
+    EXPECT_NEAR(static_cast<double>(rising[i] / even[i]), 1 + 0.2 * x * radius / (radius - thickness), 0.02) << i;
+  }
 }
 
 TEST(ShellTextureRender, ScattersBeamsByTheirPhaseFunction) {
