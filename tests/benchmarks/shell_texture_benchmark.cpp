@@ -18,30 +18,11 @@ using namespace shellgrid;
 
 namespace {
 
-// Knobs of another matter over veins.
-BaseVolume sample(int width) {
-  BaseVolume v = test::layer({width, width, 10}, Vec3f(1.5f, 1.6f, 1.8f), Vec3f(0.97f, 0.92f, 0.85f), 0, 1.3);
-  v.voxel = 0.4;
-  for (int z = 0; z < 10; ++z)
-    for (int y = 0; y < width; ++y)
-      for (int x = 0; x < width; ++x) {
-        const double cx = std::fmod(x + 0.5, 16) - 8, cy = std::fmod(y + 0.5, 16) - 8, r = std::hypot(cx, cy);
-        const bool knob = z < 3 ? std::hypot(r, z - 2.5) < 5 : z < 4 && r < 3;
-        const std::size_t k = v.index(x, y, z);
-        const double turn = 2 * 3.14159265358979 / 48;
-        const double vein = std::sin(3 * x * turn + 2 * std::sin(2 * y * turn + 0.3 * z));
-        if (z < 4 && !knob) v.free[k] = 1;
-        if (vein > 0.8) v.albedo[k] *= 0.9f, v.extinction[k] *= 2;
-        if (z < 4) v.albedo[k] = Vec3f(0.99f, 0.98f, 0.95f);
-      }
-  return v;
-}
-
 ShellTexture texture(int arguments, char** argument) {
   if (arguments > 1) return restore_shell_texture(read_vdb(argument[1]));
   IrradianceOptions options;
   options.target_error = test::long_form() ? 0.02 : 0.06;
-  return trace_irradiance(sample(test::long_form() ? 96 : 48), options);
+  return trace_irradiance(test::knobs_over_veins(test::long_form() ? 96 : 48), options);
 }
 
 void row(const char* codec, double asked, double ratio, double psnr, std::size_t bytes, int words, double pack,

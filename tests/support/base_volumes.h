@@ -43,6 +43,30 @@ inline void cut_mushroom(BaseVolume& v) {
       }
 }
 
+// Knobs of another matter over veins, ten voxels deep. Any anisotropy has the same reduced coefficients.
+inline BaseVolume knobs_over_veins(int width, float anisotropy = 0) {
+  BaseVolume v = layer({width, width, 10}, Vec3f(1.5f, 1.6f, 1.8f), Vec3f(0.97f, 0.92f, 0.85f), anisotropy, 1.3);
+  v.voxel = 0.4;
+  for (int z = 0; z < 10; ++z)
+    for (int y = 0; y < width; ++y)
+      for (int x = 0; x < width; ++x) {
+        const double cx = std::fmod(x + 0.5, 16) - 8, cy = std::fmod(y + 0.5, 16) - 8, r = std::hypot(cx, cy);
+        const bool knob = z < 3 ? std::hypot(r, z - 2.5) < 5 : z < 4 && r < 3;
+        const std::size_t k = v.index(x, y, z);
+        const double turn = 2 * 3.14159265358979 / 48;
+        const double vein = std::sin(3 * x * turn + 2 * std::sin(2 * y * turn + 0.3 * z));
+        if (z < 4 && !knob) v.free[k] = 1;
+        if (vein > 0.8) v.albedo[k] *= 0.9f, v.extinction[k] *= 2;
+        if (z < 4) v.albedo[k] = Vec3f(0.99f, 0.98f, 0.95f);
+        for (int c = 0; c < 3; ++c) {
+          const float scattering = v.albedo[k][c] * v.extinction[k][c], absorption = v.extinction[k][c] - scattering;
+          v.extinction[k][c] = absorption + scattering / (1 - anisotropy);
+          v.albedo[k][c] = scattering / (1 - anisotropy) / v.extinction[k][c];
+        }
+      }
+  return v;
+}
+
 struct NamedVolume {
   std::string name;
   BaseVolume volume;
