@@ -13,8 +13,9 @@
 namespace shellgrid {
 namespace {
 
-constexpr int margin = 8;           // voxels about the tile that the surface is made of beside its own
-constexpr int rays_per_voxel = 12;  // along x and y, to weigh voxels
+constexpr int margin = 8;                // voxels about the tile that the surface is made of beside its own
+constexpr double beside_surface = 1e-3;  // voxels
+constexpr int rays_per_voxel = 12;       // along x and y, to weigh voxels
 
 Float4 lanes(const Vec3f& v) { return Float4{v.x(), v.y(), v.z(), 0}; }
 
@@ -96,6 +97,8 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
   spread_indices(volume);
   if (flat_) {
     share_.assign(n, 1.0f);
+    near_surface_.assign(n, 0);
+    std::fill_n(near_surface_.begin(), texels, char{1});
     leaps_ = SlabLeaps(size_, voxel_, matter_, std::vector<char>(n, 1));
     return;
   }
@@ -112,7 +115,9 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
         voxels.emplace_back(x, y, z);
       }
   const GridFrame frame{Vec3::Constant(0.5 * voxel_), voxel_};
-  surface_ = std::make_unique<TransportSurface>(voxel_boundary(frame, voxels), TriangleMesh());
+  const TriangleMesh boundary = voxel_boundary(frame, voxels);
+  find_near_surface(volume, boundary);
+  surface_ = std::make_unique<TransportSurface>(boundary, TriangleMesh());
   lowest_surface_ = (lowest_free + 1) * voxel_;
   top_ = -voxel_;
   weigh_voxels();
@@ -129,6 +134,23 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
             whole[k] = 0;
   }
   leaps_ = SlabLeaps(size_, voxel_, matter_, whole);
+}
+
+void PeriodicSlab::find_near_surface(const BaseVolume& volume, const TriangleMesh& boundary) {
+  near_surface_.assign(volume.free.begin(), volume.free.end());
+  for (int f = 0; f < boundary.face_count(); ++f) {
+    Vec3i first, last;
+    for (int axis = 0; axis < 3; ++axis) {
+      const double a = boundary.corner(f, 0)[axis], b = boundary.corner(f, 1)[axis], c = boundary.corner(f, 2)[axis];
+      first[axis] = std::max(0, static_cast<int>(std::floor(std::min({a, b, c}) / voxel_ - beside_surface)));
+      last[axis] =
+          std::min(size_[axis] - 1, static_cast<int>(std::floor(std::max({a, b, c}) / voxel_ + beside_surface)));
+    }
+    last.z() = std::max(last.z(), 0);  // above the volume its uppermost voxels go on
+    for (int z = first.z(); z <= last.z(); ++z)
+      for (int y = first.y(); y <= last.y(); ++y)
+        for (int x = first.x(); x <= last.x(); ++x) near_surface_[volume.index(x, y, z)] = 1;
+  }
 }
 
 void PeriodicSlab::spread_indices(const BaseVolume& volume) {

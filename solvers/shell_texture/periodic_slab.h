@@ -32,6 +32,8 @@ class PeriodicSlab {
   // Share of each voxel that is matter.
   const std::vector<float>& share() const { return share_; }
   const SlabLeaps& leaps() const { return leaps_; }
+  // Whether the mesostructure surface may go through a voxel.
+  bool is_near_surface(std::size_t voxel_index) const { return near_surface_[voxel_index] != 0; }
 
   // The nearest meeting with the mesostructure surface not farther than `limit`, from a point with x and y within the
   // tile; `limit` must not reach beyond its sides. x, y, z in mm, z the depth; the normal points out of the matter.
@@ -40,6 +42,7 @@ class PeriodicSlab {
 
  private:
   void weigh_voxels();
+  void find_near_surface(const BaseVolume& volume, const TriangleMesh& boundary);
   void spread_indices(const BaseVolume& volume);
 
   Vec3i size_ = Vec3i::Zero();
@@ -49,6 +52,7 @@ class PeriodicSlab {
   double lowest_surface_ = 0;  // below it there is matter everywhere
   std::vector<Matter> matter_;
   std::vector<float> share_;
+  std::vector<char> near_surface_;
   SlabLeaps leaps_;
   std::vector<float> iors_;        // per voxel, that of the surface nearest by; none where all is ior_
   std::vector<char> bottom_free_;  // per texel

@@ -25,6 +25,38 @@ struct Deposit {
 
 using DepositLists = std::array<std::vector<Deposit>, ranges>;
 
+// Deposits of one walk: those in the same receivers, nearly all of which come soon after one another, become one.
+class WalkDeposits {
+ public:
+  void add(std::uint32_t receiver, const Float4& value, std::uint32_t walk, int shift, DepositLists& lists) {
+    Slot& slot = slots_[(receiver * 0x9e3779b1u) >> 25];
+    if (slot.receiver == receiver) {
+      slot.value += value;
+      return;
+    }
+    if (slot.receiver != none) move(slot, walk, shift, lists);
+    slot = {value, receiver};
+  }
+  void end(std::uint32_t walk, int shift, DepositLists& lists) {
+    for (Slot& slot : slots_) {
+      if (slot.receiver == none) continue;
+      move(slot, walk, shift, lists);
+      slot.receiver = none;
+    }
+  }
+
+ private:
+  static constexpr std::uint32_t none = ~0u;
+  struct Slot {
+    Float4 value = {};
+    std::uint32_t receiver = none;
+  };
+  static void move(const Slot& slot, std::uint32_t walk, int shift, DepositLists& lists) {
+    lists[slot.receiver >> shift].push_back({slot.receiver, walk, {slot.value[0], slot.value[1], slot.value[2]}});
+  }
+  std::array<Slot, 128> slots_;
+};
+
 // A stretch of a beam within a voxel.
 struct BeamPiece {
   std::size_t voxel;
@@ -100,11 +132,11 @@ class SharedWalks : public IrradianceBatches {
         seed_(seed),
         count_(directions.count()),
         receivers_(field.voxels + field.texels + 1),
-        range_((receivers_ + ranges - 1) / ranges),
         lists_((batch_ + walks_a_chunk - 1) / walks_a_chunk),
         rows_(batch_ * 3 * count_),
         levels_down_(slab_, false),
         levels_up_(slab_, true) {
+    while (receivers_ > ranges << range_shift_) ++range_shift_;
     for (int l = 0; l < count_; ++l) inverse_cosine_.push_back(static_cast<float>(1 / directions.direction(l).z()));
   }
 
@@ -178,13 +210,11 @@ class SharedWalks : public IrradianceBatches {
     std::uint32_t walk;
     DepositLists& lists;
     const DepthLevels& levels;
+    WalkDeposits& deposits;
 
     int level(const SlabPath& path) const { return levels.at(path.point.z(), path.level); }
     void put(std::size_t receiver, const Double4& value) const {
-      lists[receiver / walks.range_].push_back(
-          {static_cast<std::uint32_t>(receiver),
-           walk,
-           {static_cast<float>(value[0]), static_cast<float>(value[1]), static_cast<float>(value[2])}});
+      deposits.add(static_cast<std::uint32_t>(receiver), to_float(value), walk, walks.range_shift_, lists);
     }
     void way(std::size_t voxel, const Double4& value) const { put(voxel, value); }
     void collided(const SlabPath&) const {}
@@ -198,8 +228,10 @@ class SharedWalks : public IrradianceBatches {
   };
 
   void follow(SlabPath& path, std::uint32_t walk, DepositLists& lists, const DepthLevels& levels) const {
-    Visitor visitor{*this, walk, lists, levels};
+    thread_local WalkDeposits deposits;
+    Visitor visitor{*this, walk, lists, levels, deposits};
     walk_.follow(path, visitor);
+    deposits.end(walk, range_shift_, lists);
   }
 
   template <class Trace>
@@ -216,8 +248,9 @@ class SharedWalks : public IrradianceBatches {
 
   template <class Sum>
   void sum_ranges(const Sum& sum) const {
-    parallel_for((receivers_ + range_ - 1) / range_,
-                 [&](std::size_t range) { sum(range * range_, std::min(receivers_, (range + 1) * range_), range); }, 1);
+    const std::size_t width = std::size_t{1} << range_shift_;
+    parallel_for((receivers_ + width - 1) / width,
+                 [&](std::size_t range) { sum(range * width, std::min(receivers_, (range + 1) * width), range); }, 1);
   }
 
   // Takes light to its first collision, scatters it there and finds what the walk is worth for each direction and
@@ -332,7 +365,8 @@ class SharedWalks : public IrradianceBatches {
   LightDirections directions_;
   std::uint64_t batch_, seed_;
   int count_;
-  std::size_t receivers_, range_;
+  std::size_t receivers_;
+  int range_shift_ = 0;              // of receivers to their ranges
   std::vector<DepositLists> lists_;  // by chunk of walks
   std::vector<float> rows_;          // of each walk: worth by channel and direction
   std::vector<float> inverse_cosine_;

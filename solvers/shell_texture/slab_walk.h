@@ -17,13 +17,8 @@ namespace shellgrid {
 
 // ∫₀^ℓ e^(−σ s) ds, with `left` = e^(−σ ℓ).
 inline Double4 mean_way(const Double4& extinction, double length, const Double4& left) {
-  Double4 way;
-  for (int c = 0; c < 3; ++c) {
-    const double depth = extinction[c] * length;
-    way[c] = depth > 1e-5 ? (1 - left[c]) / extinction[c] : length * (1 - 0.5 * depth);
-  }
-  way[3] = 0;
-  return way;
+  const Double4 depth = extinction * length;
+  return depth > 1e-5 ? (1 - left) / extinction : length * (1 - 0.5 * depth);
 }
 
 struct SlabPath {
@@ -71,24 +66,8 @@ class SlabWalk {
   // Where a path gets to without a collision: the mesostructure surface, the tile's side, its bottom, or in free space
   // its top.
   Exit next_exit(const SlabPath& path) const {
-    Exit exit;
-    const auto consider = [&](double distance, Side side) {
-      if (distance < exit.distance) exit.distance = std::max(0.0, distance), exit.side = side;
-    };
-    const Vec3 &point = path.point, &direction = path.direction;
-    for (int axis = 0; axis < 2; ++axis)
-      if (direction[axis] != 0)
-        consider(((direction[axis] > 0 ? slab_.width(axis) : 0) - point[axis]) / direction[axis],
-                 static_cast<Side>(axis));
-    if (direction.z() > 0)
-      consider((slab_.depth() - point.z()) / direction.z(), Side::ends);
-    else if (direction.z() < 0)
-      // In matter the surface is met first; one voxel above it a path has slipped out.
-      consider((slab_.top() - (path.in_matter ? slab_.voxel() : 0) - point.z()) / direction.z(), Side::ends);
-    double distance = 0;
-    Vec3 normal;
-    if (slab_.meet_surface(point, direction, exit.distance, path.in_matter, distance, normal))
-      exit = {distance, Side::surface, normal};
+    Exit exit = tile_exit(path);
+    meet_before(path, exit);
     return exit;
   }
 
@@ -100,65 +79,89 @@ class SlabWalk {
   // Calls visit(voxel, begin, length) for the voxels on the way until it says false.
   template <class Visit>
   void walk_voxels(const SlabPath& path, double end, const Visit& visit) const {
-    constexpr double infinite = std::numeric_limits<double>::infinity();
+    walk_voxels(
+        path, end, [](std::size_t) {}, visit);
+  }
+  // Before each voxel enter(voxel), which may bring the end nearer.
+  template <class Enter, class Visit>
+  void walk_voxels(const SlabPath& path, double& end, const Enter& enter, const Visit& visit) const {
     const Vec3i& size = slab_.size();
+    const double edge = slab_.voxel(), inverse_edge = 1 / edge;
     const std::ptrdiff_t stride[3] = {1, size.x(), static_cast<std::ptrdiff_t>(size.x()) * size.y()};
-    int cell[3];
+    int cell[3], step[3];
     double next[3], interval[3];
-    std::ptrdiff_t at = 0;
+    std::ptrdiff_t at = 0, stride_of[3];
     for (int axis = 0; axis < 3; ++axis) {
       const double d = path.direction[axis], o = path.point[axis];
-      cell[axis] = std::clamp(static_cast<int>(std::floor(o / slab_.voxel())), 0, size[axis] - 1);
+      cell[axis] = std::clamp(static_cast<int>(o * inverse_edge), 0, size[axis] - 1);
       // On a side the voxel is the one ahead.
-      if (d < 0 && cell[axis] > 0 && cell[axis] * slab_.voxel() >= o) --cell[axis];
+      if (d < 0 && cell[axis] > 0 && cell[axis] * edge >= o) --cell[axis];
       at += cell[axis] * stride[axis];
-      next[axis] = d == 0 ? infinite : ((cell[axis] + (d > 0 ? 1 : 0)) * slab_.voxel() - o) / d;
-      interval[axis] = d == 0 ? infinite : slab_.voxel() / std::abs(d);
+      const double inverse = std::abs(d) > 1e-300 ? 1 / d : 1e300;
+      next[axis] = ((cell[axis] + (inverse > 0 ? 1 : 0)) * edge - o) * inverse;
+      interval[axis] = edge * std::abs(inverse);
+      step[axis] = d > 0 ? 1 : -1;
+      stride_of[axis] = step[axis] * stride[axis];
     }
     double t = 0;
     for (;;) {
+      enter(static_cast<std::size_t>(at));
       const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
-      const int step = path.direction[axis] > 0 ? 1 : -1;
+      const int ahead = cell[axis] + step[axis];
       // Above and below the volume its outermost voxels go on.
-      const bool last = next[axis] >= end || cell[axis] + step < 0 || cell[axis] + step >= size[axis];
+      const bool last = next[axis] >= end || ahead < 0 || ahead >= size[axis];
       const double to = last ? end : std::max(next[axis], t);
       if (to > t && !visit(static_cast<std::size_t>(at), t, to - t)) return;
       if (last) return;
       t = to;
       next[axis] += interval[axis];
-      cell[axis] += step;
-      at += step * stride[axis];
+      cell[axis] = ahead;
+      at += stride_of[axis];
     }
   }
 
-  // To the collision, and true; or to the end. Calls deposit(voxel, way) with the ways expected in each voxel as if it
-  // went through it: the collision's place is another draw.
+  // To the collision, and true; or to `exit`, which it finds. Calls deposit(voxel, way) with the ways expected in each
+  // voxel as if light went on without collisions: where it collides is another draw. Deposits end where so little
+  // passes that it is left to chance, to the collision's draw: the farther, the more weight they have.
   template <class Deposit>
-  bool fly(SlabPath& path, double end, const Deposit& deposit) const {
+  bool fly(SlabPath& path, Exit& exit, const Deposit& deposit) const {
     const Double4 before = path.weight;
+    const double whole = lane_sum(before);
     const int hero = choose_channel(before, path.random.next());
     double left = path.random.exponential();
-    Double4 passed = {1, 1, 1, 0};
-    bool collides = false;
-    double stop = end;
-    walk_voxels(path, end, [&](std::size_t voxel, double begin, double length) {
-      const Double4 extinction = to_double(slab_.matter(voxel).extinction);
-      const Double4 kept = lane_exponential(-extinction * length);
-      deposit(voxel, reweighted(before, before * passed) * mean_way(extinction, length, kept));
-      if (extinction[hero] * length >= left && extinction[hero] > 0) {
-        const double way = left / extinction[hero];
-        stop = begin + way;
-        path.weight = reweighted(before, before * passed * lane_exponential(-extinction * way) * extinction);
-        path.voxel = voxel;
-        collides = true;
-        return false;
-      }
-      left -= extinction[hero] * length;
-      passed *= kept;
-      return true;
-    });
+    exit = tile_exit(path);
+    if (!exit.is_known()) return false;
+    Double4 passing = before;
+    bool collides = false, surface_is_known = false;
+    double stop = exit.distance, end = stop;
+    walk_voxels(
+        path, end,
+        [&](std::size_t voxel) {
+          if (surface_is_known || !slab_.is_near_surface(voxel)) return;
+          surface_is_known = true;
+          meet_before(path, exit);
+          stop = collides ? stop : exit.distance;
+          end = exit.distance;
+        },
+        [&](std::size_t voxel, double begin, double length) {
+          const Float4& matter = slab_.matter(voxel).extinction;
+          const Double4 extinction = to_double(matter), kept = lane_exponential(-extinction * length);
+          const Double4 sure = passing * (1 / chance_below), drawn = sure < before ? sure : before;
+          deposit(voxel, passing * mean_way(extinction, length, kept) * (whole / lane_sum(drawn)));
+          const auto of_hero = static_cast<double>(matter[hero]), depth = of_hero * length;
+          if (!collides && depth >= left && of_hero > 0) {
+            const double way = left / of_hero;
+            stop = begin + way;
+            path.weight = reweighted(before, passing * lane_exponential(-extinction * way) * extinction);
+            path.voxel = voxel;
+            collides = true;
+          }
+          left -= depth;
+          passing *= kept;
+          return left > log_chance_below;
+        });
     path.point += stop * path.direction;
-    if (!collides) path.weight = reweighted(before, before * passed);
+    if (!collides) path.weight = reweighted(before, passing);
     return collides;
   }
 
@@ -174,7 +177,7 @@ class SlabWalk {
   static bool outlives_faintness(SlabPath& path) {
     const double before = lane_sum(path.weight);
     if (!(before > 0)) return false;
-    const double unsplit = std::ldexp(1.0, path.level);
+    const double unsplit = path.level == 0 ? 1 : std::ldexp(1.0, path.level);
     double weight = before * unsplit;
     if (!survives_faintness(weight, path.random)) return false;
     path.weight *= weight / (unsplit * before);
@@ -183,16 +186,18 @@ class SlabWalk {
 
   // Another direction, by the phase function of the voxel of the collision.
   void turn(SlabPath& path) const {
-    const Double4 g = to_double(slab_.matter(path.voxel).anisotropy);
+    const Float4& g = slab_.matter(path.voxel).anisotropy;
+    if (g[0] == g[1] && g[1] == g[2]) {
+      path.direction = scattered(path.direction, static_cast<double>(g[0]), path.random);
+      return;
+    }
     const int hero = choose_channel(path.weight, path.random.next());
     const Vec3 old = path.direction;
-    path.direction = scattered(old, g[hero], path.random);
-    if (g[0] != g[1] || g[1] != g[2]) {
-      const double cosine = std::clamp(old.dot(path.direction), -1.0, 1.0);
-      Double4 drawn = path.weight;
-      for (int c = 0; c < 3; ++c) drawn[c] *= henyey_greenstein(g[c], cosine);
-      path.weight = reweighted(path.weight, drawn);
-    }
+    path.direction = scattered(old, static_cast<double>(g[hero]), path.random);
+    const double cosine = std::clamp(old.dot(path.direction), -1.0, 1.0);
+    Double4 drawn = path.weight;
+    for (int c = 0; c < 3; ++c) drawn[c] *= henyey_greenstein(static_cast<double>(g[c]), cosine);
+    path.weight = reweighted(path.weight, drawn);
   }
 
   // At the surface. True: mirrored.
@@ -249,6 +254,35 @@ class SlabWalk {
   }
 
  private:
+  static constexpr double chance_below = 0.2;  // share of the light that passes
+  static constexpr double log_chance_below = -1.6094379124341003;
+
+  Exit tile_exit(const SlabPath& path) const {
+    Exit exit;
+    const auto consider = [&](double distance, Side side) {
+      if (distance < exit.distance) exit.distance = std::max(0.0, distance), exit.side = side;
+    };
+    const Vec3 &point = path.point, &direction = path.direction;
+    for (int axis = 0; axis < 2; ++axis)
+      if (direction[axis] != 0)
+        consider(((direction[axis] > 0 ? slab_.width(axis) : 0) - point[axis]) / direction[axis],
+                 static_cast<Side>(axis));
+    if (direction.z() > 0)
+      consider((slab_.depth() - point.z()) / direction.z(), Side::ends);
+    else if (direction.z() < 0)
+      // In matter the surface is met first; one voxel above it a path has slipped out.
+      consider((slab_.top() - (path.in_matter ? slab_.voxel() : 0) - point.z()) / direction.z(), Side::ends);
+    return exit;
+  }
+
+  // The surface, where it is nearer.
+  void meet_before(const SlabPath& path, Exit& exit) const {
+    double distance = 0;
+    Vec3 normal;
+    if (slab_.meet_surface(path.point, path.direction, exit.distance, path.in_matter, distance, normal))
+      exit = {distance, Side::surface, normal};
+  }
+
   template <class Visitor>
   void follow(SlabPath& path, Visitor& visitor, std::vector<SlabPath>* others) const {
     for (;;) {
@@ -256,10 +290,9 @@ class SlabWalk {
         if (meet_event_limit(path.events, path.next_limit, path.random) != LimitOutcome::goes_on) return;
         path.weight *= limit_weight;
       }
-      const Exit exit = next_exit(path);
-      if (!exit.is_known()) return;
+      Exit exit;
       if (path.in_matter) {
-        if (fly(path, exit.distance, [&](std::size_t voxel, const Double4& way) { visitor.way(voxel, way); })) {
+        if (fly(path, exit, [&](std::size_t voxel, const Double4& way) { visitor.way(voxel, way); })) {
           visitor.collided(path);
           const Vec3 before = path.direction;
           if (!scatter(path)) return;
@@ -270,8 +303,10 @@ class SlabWalk {
           continue;
         }
       } else {
-        path.point += exit.distance * path.direction;
+        exit = next_exit(path);
+        if (exit.is_known()) path.point += exit.distance * path.direction;
       }
+      if (!exit.is_known()) return;
       if (exit.side == Side::surface) {
         if (meet(path, exit.normal)) visitor.mirrored();
       } else if (exit.side == Side::ends) {

@@ -44,7 +44,8 @@ void row(int width, float anisotropy, const IrradianceOptions& options) {
 }  // namespace
 
 int main(int arguments, char** argument) {
-  std::printf("width,anisotropy,paths,median_error,error_from_below,seconds,march_s,paths_s,processor_s_to_2_percent\n");
+  std::printf(
+      "width,anisotropy,paths,median_error,error_from_below,seconds,march_s,paths_s,processor_s_to_2_percent\n");
   IrradianceOptions options;
   if (arguments > 3) {
     options.paths = std::atof(argument[3]);
