@@ -77,7 +77,7 @@ def lights_apart(study, sizes):
     programs.write_off(mesh, scenes.torus())
     sample = study.write("parts", "sample.json", scenes.description("spots", size=[48, 48], count=22))
     scene = study.make("parts", scenes.scene(mesh, 50 * sizes.size, sample, 2.4, 0.4, sizes.camera((30, 60, 150), 20),
-                                             [scenes.STUDIO], 1.5), "image.exr")
+                                             [scenes.STUDIO], 1.5), "core.ply")
     found = {light: scene.picture(light, "--light", light, "--contrast", 0) for light in ("core", "outside", "all")}
     inside = found["all"][0]["A"] >= 1
     scattered = lambda light: numpy.stack([found[light][0]["exitance." + c] for c in "RGB"], 2)[inside].astype(float)
@@ -179,7 +179,7 @@ def shadow_border(study, sizes):
     view = scenes.camera((0, height, border), 2 * math.degrees(math.atan(half / (height + 8))), sizes.width, sizes.height, (0, 0, border))
     view["up"] = [0, 0, -1]
     sun = {"type": "directional", "direction": [0, -1, 0.5], "irradiance": [3, 3, 3]}
-    scene = study.make("shadow", scenes.scene(mesh, 60, sample, 4, 0.5, view, [sun], 1.4), "image.exr")
+    scene = study.make("shadow", scenes.scene(mesh, 60, sample, 4, 0.5, view, [sun], 1.4), "shell.vdb", "stf.vdb")
     truth = scene.true_exitance(4e6 * sizes.factor)
     rows = border + half * (2 * (numpy.arange(sizes.height) + 0.5) / sizes.height - 1)
     band = lambda side: (side * (rows - border) > 0)[:, None] & (abs(rows - border) < 4)[:, None] & truth.inside
@@ -217,7 +217,7 @@ def against_paths(study, sizes):
     width, height = 3 * sizes.width, 3 * sizes.height
     content = scenes.scene(mesh, 80 * sizes.size, sample, 4, 0.5, scenes.camera([sizes.size * x for x in (48, 96, 240)], 20, width, height),
                            [scenes.STUDIO], 1.5)
-    scene = study.make("reference", content, "image.exr")
+    scene = study.make("reference", content, "shell.vdb", "stf.vdb")
     many, few = sizes.paths(32), sizes.paths(4)
     truth = scene.truth(many)
     grid = study.make("polygrid", {**content, "method": {**content["method"], "core": "polygrid", "nodes": 1e5}}, "fluence.hdf")
@@ -280,7 +280,7 @@ def gallery(study, sizes):
                 ["picture", "vertices", "sample", "sg-irradiance, s", "geometry and synthesis, s", "sg-core, s", "sg-render, s"])
     shown = []
     for name, content, views in scenes.gallery(study, sizes):
-        scene = study.make("gallery-" + name, content, "image.exr")
+        scene = study.make("gallery-" + name, content, "core.ply")
         seconds = lambda file: study.record(scene.made(file))["seconds"]
         size = study.record(scene.made("stf.vdb"))["size"]
         once = sum(seconds(file) for file in ("surface.ply", "distance.vdb", "sample.vdb", "textons.vdb", "synthesized.ply", "shell.vdb"))
