@@ -124,7 +124,7 @@ def strawberry():
 
 def lumpy_wax(path):
     """A tomogram of wax with balls of one density, so that no rim of theirs passes for another, below a lumpy surface."""
-    write_nrrd(path, wax((36, 36, 16), 3, (1.8, 0.8, 2.5, 2), 12, (3, 4.6), 3.4, (220.0,)), (0.4, 0.4, 0.4))
+    write_nrrd(path, wax((36, 36, 16), 3, (1.8, 0.8, 2.5, 2), 11, (2.8, 4.4), 4.8, (220.0,)), (0.4, 0.4, 0.4))
 
 
 def overhang():
