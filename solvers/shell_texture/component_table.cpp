@@ -10,20 +10,15 @@
 #include "meshing/core/error.h"
 #include "meshing/core/parallel.h"
 #include "solvers/shell_texture/number_lists.h"
+#include "solvers/shell_texture/step_coding.h"
 
 namespace shellgrid {
 namespace {
 
 constexpr int most_components = 160;
-constexpr int largest_step = 60;  // beyond it steps are written out
-constexpr std::uint32_t escape = 2 * largest_step + 1;
-constexpr int escape_bits = 12, escape_parts = 2;
-constexpr int spreads = 40;            // classes of spread
-constexpr double spread_ratio = 1.35;  // of one class to the next
-constexpr double least_mean = 0.002;   // magnitude of the first class
-constexpr int fine_components = 40;    // whose parts are kept in two bytes
-constexpr double bits_worth = 0.15;    // squared steps of error that a bit must save
-constexpr float rounding = 0.36f;      // steps are taken rather too small: zeros are cheap
+constexpr int fine_components = 40;  // whose parts are kept in two bytes
+constexpr double bits_worth = 0.15;  // squared steps of error that a bit must save
+constexpr float rounding = 0.36f;    // steps are taken rather too small: zeros are cheap
 constexpr std::size_t chunk = 2048;
 constexpr int search_rounds = 14;
 
@@ -59,43 +54,8 @@ void transform(const float* in, float* out, bool back) {
     }
 }
 
-// Frequencies of steps whose magnitude falls by a constant ratio: whole numbers alone, the same on every machine.
-SymbolTable geometric_table(int spread) {
-  double mean = least_mean;
-  for (int k = 1; k < spread; ++k) mean *= spread_ratio;
-  const double ratio = (std::sqrt(1 + mean * mean) - 1) / mean;
-  const auto fall = static_cast<std::uint64_t>(std::lround(ratio * 65536));
-  std::vector<std::uint64_t> weights(escape + 1);
-  std::uint64_t weight = std::uint64_t{1} << 40;
-  for (int q = 0; q <= largest_step; ++q) {
-    if (q == 0) {
-      weights[0] = weight;
-    } else {
-      weights[2 * q - 1] = weights[2 * q] = weight;
-    }
-    weight = weight * fall >> 16;
-  }
-  weights[escape] = 2 * weight;
-  return SymbolTable::from_weights(weights);
-}
-
-std::uint32_t symbol_of(int step) {
-  if (step == 0) return 0;
-  const int magnitude = std::abs(step);
-  if (magnitude > largest_step) return escape;
-  return static_cast<std::uint32_t>(2 * magnitude - (step > 0 ? 1 : 0));
-}
-
-int step_of(std::uint32_t symbol) {
-  const int magnitude = static_cast<int>(symbol + 1) / 2;
-  return symbol % 2 == 1 ? magnitude : -magnitude;
-}
-
-std::uint8_t spread_of(double mean) {
-  if (!(mean > 0)) return 0;
-  const double at = std::log(mean / least_mean) / std::log(spread_ratio);
-  return static_cast<std::uint8_t>(std::clamp(static_cast<int>(std::lround(at)) + 1, 1, spreads - 1));
-}
+// How blocks' shifts are coded, for whoever reads the file: of so many components, in so many bits, by so many classes.
+std::vector<std::uint8_t> shift_code() { return {shift_group, shift_bits, shift_step, no_shift}; }
 
 }  // namespace
 
@@ -339,28 +299,37 @@ void ComponentTable::encode(Plan& plan, float step) {
   for (int c = components_; c < all; ++c) error += energy[c] - errors[c];
   plan.error = error;
   spread_.resize(static_cast<std::size_t>(components_) * block_places);
-  tables_.clear();
-  tables_.resize(1);
-  for (int k = 1; k < spreads; ++k) tables_.push_back(geometric_table(k));
+  tables_ = step_tables();
+  const std::vector<std::vector<float>> lengths = symbol_lengths(tables_);
   std::vector<std::vector<std::uint8_t>> bytes(blocks);
   parallel_for(
       blocks,
       [&](std::size_t b) {
         if (!plan.block_filled[b]) return;
+        const auto step_at = [&](int c, int k) {
+          return quantised(plan.transformed[(b * all + c) * block_places + k]);
+        };
+        std::vector<int> shift;  // that makes each group shortest
+        for (int first = 0; first < components_; first += shift_group) {
+          float length[shifts] = {};
+          for (int c = first; c < std::min(components_, first + shift_group); ++c)
+            for (int k = 0; k < block_places; ++k) {
+              const std::uint8_t spread = spread_[static_cast<std::size_t>(c) * block_places + k];
+              if (spread == 0) continue;
+              const std::uint32_t symbol = symbol_of(step_at(c, k));
+              for (int s = 0; s < shifts; ++s) length[s] += lengths[shifted(spread, s)][symbol];
+            }
+          shift.push_back(static_cast<int>(std::min_element(length, length + shifts) - length));
+        }
         SymbolEncoder encoder;
-        for (int c = components_ - 1; c >= 0; --c)
+        for (int c = components_ - 1; c >= 0; --c) {
           for (int k = block_places - 1; k >= 0; --k) {
             const std::uint8_t spread = spread_[static_cast<std::size_t>(c) * block_places + k];
             if (spread == 0) continue;
-            const int q = quantised(plan.transformed[(b * all + c) * block_places + k]);
-            const std::uint32_t symbol = symbol_of(q);
-            if (symbol == escape) {
-              const auto zigzag = static_cast<std::uint32_t>(q > 0 ? 2 * q : -2 * q + 1);
-              for (int part = escape_parts - 1; part >= 0; --part)
-                encoder.put_bits(zigzag >> (escape_bits * part) & ((1u << escape_bits) - 1), escape_bits);
-            }
-            encoder.put(tables_[spread], symbol);
+            put_step(encoder, tables_[shifted(spread, shift[c / shift_group])], step_at(c, k));
           }
+          if (c % shift_group == 0) encoder.put_bits(static_cast<std::uint32_t>(shift[c / shift_group]), shift_bits);
+        }
         bytes[b] = encoder.finish();
       },
       4);
@@ -374,9 +343,7 @@ void ComponentTable::encode(Plan& plan, float step) {
 
 // From steps and peaks to the values' own units.
 void ComponentTable::set_tables() {
-  tables_.clear();
-  tables_.resize(1);
-  for (int k = 1; k < spreads; ++k) tables_.push_back(geometric_table(k));
+  tables_ = step_tables();
   basis_.resize(basis_steps_.size());
   for (int c = 0; c < components_; ++c)
     for (int k = 0; k < dimensions_; ++k) {
@@ -408,23 +375,16 @@ void ComponentTable::unpack(int block, std::vector<float>& coefficients) const {
   coefficients.assign(static_cast<std::size_t>(block_places) * components_, 0.0f);
   if (offset_[block] == offset_[block + 1]) return;
   SymbolDecoder decoder(stream_.data() + offset_[block], stream_.data() + offset_[block + 1]);
+  int shift = no_shift;
   for (int c = 0; c < components_; ++c) {
     float steps[block_places], out[block_places];
     bool any = false;
+    if (c % shift_group == 0) shift = static_cast<int>(decoder.take_bits(shift_bits));
     for (int k = 0; k < block_places; ++k) {
       const std::uint8_t spread = spread_[static_cast<std::size_t>(c) * block_places + k];
       steps[k] = 0;
       if (spread == 0) continue;
-      const std::uint32_t symbol = decoder.take(tables_[spread]);
-      int q;
-      if (symbol == escape) {
-        std::uint32_t zigzag = 0;
-        for (int part = 0; part < escape_parts; ++part)
-          zigzag |= decoder.take_bits(escape_bits) << (escape_bits * part);
-        q = zigzag % 2 == 0 ? static_cast<int>(zigzag / 2) : -static_cast<int>(zigzag / 2);
-      } else {
-        q = step_of(symbol);
-      }
+      const int q = take_step(decoder, tables_[shifted(spread, shift)]);
       steps[k] = static_cast<float>(q) * step_;
       any = any || q != 0;
     }
@@ -438,6 +398,7 @@ void ComponentTable::save(NumberArchive& archive, const std::string& name) const
   archive.counts[name + " sizes"] = {static_cast<std::uint64_t>(size_.x()),   static_cast<std::uint64_t>(size_.y()),
                                      static_cast<std::uint64_t>(size_.z()),   static_cast<std::uint64_t>(dimensions_),
                                      static_cast<std::uint64_t>(components_), stream_.size()};
+  put_list(archive, name + " shift", shift_code());
   std::vector<float> mean = mean_;
   for (int k = 0; k < dimensions_; ++k) mean[k] /= peaks_[k];
   put_list(archive, name + " mean", mean);
@@ -468,6 +429,7 @@ ComponentTable ComponentTable::restore(const NumberArchive& archive, const std::
   t.dimensions_ = static_cast<int>(sizes[3]);
   t.components_ = static_cast<int>(sizes[4]);
   if (t.dimensions_ < 1 || t.components_ < 1) fail_lists(path);
+  if (take_list<std::uint8_t>(archive, name + " shift", shift_code().size(), path) != shift_code()) fail_lists(path);
   t.step_ = static_cast<float>(step->second[0]);
   t.blocks_x_ = (t.size_.x() + edge - 1) / edge;
   t.blocks_y_ = (t.size_.y() + edge - 1) / edge;
