@@ -25,7 +25,7 @@ class ShellTextureSceneTest(WorkplaceTest):
         self.content = scene(
             object={"mesh": "ball.off", "size": 20, "ior": 1.3},
             material={"shell": {"sample": "white.json", "thickness": 3, "voxel": 0.5}, "core": "bottom-layer"},
-            lights=[EVEN], method={"type": "shell-texture-function", "irradiance_error": 0.05, "samples_per_pixel": 4})
+            lights=[EVEN], method={"type": "shell-texture-function", "irradiance_error": 0.02, "samples_per_pixel": 4})
 
     def make(self, target="image.exr"):
         write_json(self.at("scene.json"), self.content)
