@@ -250,9 +250,11 @@ int main(int argc, char** argv) {
     run.start_timer("write");
     TriangleMesh shape = surface.mesh;
     shape.vertices -= shell.thickness * frames.normals;
-    write_ply(
-        run.output(), exitance_mesh(shape, shine.exitance, shine.irradiance),
-        {{samples_note, sample}, {shell_note, hash_files({shell_path})}, {lights_note, hash_lights(scene.lights)}});
+    write_ply(run.output(), exitance_mesh(shape, shine.exitance, shine.irradiance),
+              {{samples_note, sample},
+               {shell_note, hash_files({shell_path})},
+               {lights_note, hash_lights(scene.lights)},
+               {flat_note, flat ? "yes" : "no"}});
     Eigen::Array3d entering = Eigen::Array3d::Zero();
     for (const Rgb& one : core.power) entering += one.cast<double>();
     run.results() = shine.results;

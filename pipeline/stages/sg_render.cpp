@@ -52,7 +52,7 @@ struct ShellTextureFiles {
     program.option("--shell", shell, "the shell that it fills, from sg-shell");
     program.option("--core", core, "the core's light, from sg-core; without it the core is black");
     program.option("--light", light,
-                   "which light the shell shows: all of it, that from outside, or that out of the core",
+                   "which light is shown: all of it, that from outside with its mirror images, or that out of the core",
                    {"all", "outside", "core"});
     program.option("--correction", correction, irradiance_correction_help, irradiance_correction_names);
     program.flag("--flat", flat, flat_shell_help);
@@ -91,6 +91,10 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
     const AttributedMesh core_mesh = read_mesh(files.core);
     core = exitance_of(files.core, core_mesh, "sg-core");
     require_core_of(files.core, sample, files.texture, files.shell, scene);
+    if (const std::string core_is_flat = note_of(read_notes(files.core), flat_note);
+        !core_is_flat.empty() && (core_is_flat == "yes") != files.flat)
+      run.progress().warn(fmt::format("{} was made {} --flat, this picture {}: the two do not fit together", files.core,
+                                      files.flat ? "without" : "with", files.flat ? "with" : "without"));
     if (core_mesh.mesh.vertex_count() != surface.mesh.vertex_count())
       throw InputError(fmt::format("{}: {} vertices, but {} has {}", files.core, core_mesh.mesh.vertex_count(),
                                    surface_path, surface.mesh.vertex_count()));

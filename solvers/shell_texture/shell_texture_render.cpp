@@ -87,7 +87,7 @@ class ShellPicture {
       seen.mirrored = static_cast<float>(meeting.reflectance) * (image.scattered + image.mirrored);
     } else if (mirror_weight > 0) {
       seen.mirrored =
-          static_cast<float>(meeting.reflectance) * stage_.far(sight.point, mirrored(sight.direction, normal, cosine));
+          static_cast<float>(meeting.reflectance) * far(sight.point, mirrored(sight.direction, normal, cosine));
     }
     const double passing = 1 - meeting.reflectance;
     if (passing * weight > faint || weight == 1) {
@@ -106,8 +106,8 @@ class ShellPicture {
     const Vec3 origin = sight.point;
     if (first_meeting(sight, crossing, normal)) return at_surface(sight, crossing, normal, mirrors, weight);
     Seen seen;
-    seen.mirrored = stage_.far(origin, sight.direction);
-    if (stage_.floor)
+    seen.mirrored = far(origin, sight.direction);
+    if (stage_.floor && settings_.outside_light)
       if (const std::optional<double> distance = stage_.floor->intersect(origin, sight.direction)) {
         const Vec3 point = origin + *distance * sight.direction;
         const auto opacity = static_cast<float>(stage_.floor->opacity(point));
@@ -208,6 +208,10 @@ class ShellPicture {
  private:
   bool next(const Sight& sight, double limit, Crossing& crossing) const {
     return scene_.object.surface().next(sight.point, sight.direction, limit, sight.inside, crossing);
+  }
+
+  Rgb far(const Vec3& origin, const Vec3& direction) const {
+    return settings_.outside_light ? stage_.far(origin, direction) : Rgb(Rgb::Zero());
   }
 
   static Vec3 towards(const Vec3& normal, const Vec3& direction) {
@@ -322,7 +326,7 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
     Vec3 normal;
     if (!picture.first_meeting(sight, crossing, normal)) {
       sample.hit = false;
-      sample.backdrop = backdrop(stage.rays.origin(), direction);
+      if (settings.outside_light) sample.backdrop = backdrop(stage.rays.origin(), direction);
       return;
     }
     sample.depth = (crossing.point - stage.rays.origin()).dot(stage.rays.axis());

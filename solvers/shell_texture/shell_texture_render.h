@@ -25,7 +25,7 @@ struct ShellTextureScene {
 struct ShellTextureSettings {
   RenderSettings render;
   IrradianceCorrection correction = IrradianceCorrection::kernels;
-  bool outside_light = true;     // light from outside, scattered within the shell
+  bool outside_light = true;     // light from outside, scattered within the shell or mirrored, and what is beside it
   bool core_light = true;        // light from the core, through the shell [STF fig. 8]
   bool unscattered_core = true;  // that part of it which the shell has not scattered; the paper leaves it out
   // Matter of anisotropy g is seen as matter of g = 0 with σ_s (1 − g), and its beams as light that has been scattered:

@@ -74,7 +74,7 @@ class ShellTextureSceneTest(WorkplaceTest):
         outside = self.pixels("--core", self.at("out", "core.ply"), "--light", "outside")
         core = self.pixels("--core", self.at("out", "core.ply"), "--light", "core")
         for c in range(3):
-            self.assertAlmostEqual((outside[c] + core[c]) / whole[c], 1, delta=0.02)
+            self.assertAlmostEqual((outside[c] + core[c]) / whole[c], 1, delta=0.005)
         self.assertGreater(core[0], 3 * core[2])
         # Without bounces, as the paper has it, less comes back.
         self.content["method"]["core"] = "paper"
@@ -91,6 +91,9 @@ class ShellTextureSceneTest(WorkplaceTest):
             with open(core_path, "rb") as a, open(out, "rb") as b:
                 pictures.append((a.read(), b.read()))
         self.assertEqual(*pictures)
+        told = self.ok("render", self.at("out", "plan", "render.json"), files[0], "-o", self.at("flat.exr"), "--stf",
+                       files[2], "--shell", files[1], "--core", core_path, "--flat")
+        self.assertIn("was made without --flat", told.stderr)
         self.refuses_files_that_do_not_fit(files, core_path)
         self.refuses_files_of_another_making(files, core_path)
 
@@ -189,7 +192,7 @@ class ShellTextureSceneTest(WorkplaceTest):
             whole = file.read()
         with open(self.at("silent.ply"), "wb") as file:
             file.write(re.sub(b"comment shellgrid [^\n]*\n", b"", whole))
-        self.assertEqual(len(re.findall(b"comment shellgrid \\w+ [^\n]*\n", whole)), 3)
+        self.assertEqual(len(re.findall(b"comment shellgrid \\w+ [^\n]*\n", whole)), 4)
         taken = ["--stf", self.at("same.stf"), "-o", self.at("taken.exr")]
         self.ok(*render, *taken, "--shell", shell, "--core", core)
         self.ok(*render, *taken, "--shell", self.at("resaved.vdb"), "--core", core)
