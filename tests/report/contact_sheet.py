@@ -224,6 +224,17 @@ def gather(rows, sheet):
     subprocess.run(["gnuplot"], input="\n".join(commands), text=True, check=True)
 
 
+def tile(pictures, sheet, columns, width, height):
+    """PNG files of one size in pixels, row by row, by gnuplot."""
+    rows = -(-len(pictures) // columns)
+    placed = ['"%s" binary filetype=png origin=(%g,%g) with rgbimage'
+              % (path, k % columns * width + 0.5, (rows - 1 - k // columns) * height + 0.5) for k, path in enumerate(pictures)]
+    commands = ["set terminal pngcairo size %d,%d" % (columns * width, rows * height), 'set output "%s"' % sheet,
+                "set lmargin 0; set rmargin 0; set tmargin 0; set bmargin 0; unset border; unset tics; unset key",
+                "set xrange [0:%d]; set yrange [0:%d]" % (columns * width, rows * height), "plot " + ", ".join(placed)]
+    subprocess.run(["gnuplot"], input="\n".join(commands), text=True, check=True)
+
+
 if __name__ == "__main__":
     if len(sys.argv) == 3:
         draw_row(*sys.argv[1:])

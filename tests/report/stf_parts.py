@@ -9,6 +9,7 @@ import shutil
 
 import numpy
 
+import contact_sheet
 import stf_scenes as scenes
 from exr_file import read_exr
 from stf_study import colours, difference, encode, save
@@ -291,14 +292,15 @@ def gallery(study, sizes):
             told = study.stage("render", out, path, scene.made("synthesized.ply"), "--stf", scene.made("stf.vdb"), "--shell",
                                scene.made("shell.vdb"), "--core", scene.made("core.ply"))
             shown.append(out[:-4] + ".png")
-            copied = os.path.join(study.output, view + ".png")
-            shutil.copy(shown[-1], copied)
-            part.figure(copied, view.replace("-", " "))
+            shutil.copy(shown[-1], study.output)
             part.row(view, study.record(scene.made("synthesized.ply"))["vertices"], "%d×%d×%d" % tuple(size),
                      "%.1f" % seconds("stf.vdb"), "%.1f" % once, "%.2f" % seconds("core.ply"), "%.2f" % told["seconds"])
             picture = read_exr(out)
             part.expect("%s: every pixel finite, the object seen" % view,
                         numpy.isfinite(colours(picture)).all() and (picture["A"] >= 1).mean() > 0.05)
+    path = os.path.join(study.output, "gallery.png")
+    contact_sheet.tile(shown, path, 3, 2 * sizes.width, 2 * sizes.height)
+    part.figure(path, "; ".join(row[0].replace("-", " ") for row in part.rows) + ".")
     return part
 
 
