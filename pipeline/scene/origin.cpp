@@ -98,17 +98,22 @@ void require_made_from(const std::string& note, const std::string& path, const s
                        : fmt::format("{}: was made from {} samples; {} given", path, told.size(), given.size()));
 }
 
+void require_shell_and_lights_of(const std::map<std::string, std::string>& notes, const std::string& path,
+                                 const std::string& writer, const std::string& shell_path, const Scene& scene) {
+  if (const std::string shell = note_of(notes, shell_note);
+      !shell.empty() && shell != hash_files({shell_path}) && is_as_written(shell_path))
+    throw InputError(
+        fmt::format("{}: was made for another shell than {}; make it anew by {}", path, shell_path, writer));
+  if (const std::string lights = note_of(notes, lights_note); !lights.empty() && lights != hash_lights(scene.lights))
+    throw InputError(
+        fmt::format("{}: was made under other lights than those of {}; make it anew by {}", path, scene.path, writer));
+}
+
 void require_core_of(const std::string& core_path, const std::string& sample, const std::string& texture_path,
                      const std::string& shell_path, const Scene& scene) {
   const std::map<std::string, std::string> notes = read_notes(core_path);
   require_same_samples(note_of(notes, samples_note), core_path, sample, texture_path);
-  if (const std::string shell = note_of(notes, shell_note);
-      !shell.empty() && shell != hash_files({shell_path}) && is_as_written(shell_path))
-    throw InputError(
-        fmt::format("{}: was made for another shell than {}; make it anew by sg-core", core_path, shell_path));
-  if (const std::string lights = note_of(notes, lights_note); !lights.empty() && lights != hash_lights(scene.lights))
-    throw InputError(fmt::format("{}: was made under other lights than those of {}; make it anew by sg-core", core_path,
-                                 scene.path));
+  require_shell_and_lights_of(notes, core_path, "sg-core", shell_path, scene);
 }
 
 }  // namespace shellgrid

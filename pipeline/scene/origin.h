@@ -32,6 +32,10 @@ void require_same_samples(const std::string& a, const std::string& a_path, const
 // Whether a file with that note was made from these samples' files, in this order; a sample that another program saved
 // since is believed. Throws: InputError.
 void require_made_from(const std::string& note, const std::string& path, const std::vector<std::string>& sample_paths);
+// Whether a stage's output with these notes was made under a scene's lights and for that shell, as far as they tell; a
+// shell that another program saved since is believed. Throws: InputError.
+void require_shell_and_lights_of(const std::map<std::string, std::string>& notes, const std::string& path,
+                                 const std::string& writer, const std::string& shell_path, const Scene& scene);
 // Whether core.ply was made under a scene's lights, of that shell and that texture function's sample, as far as it
 // tells; a shell that another program saved since is believed. Throws: InputError.
 void require_core_of(const std::string& core_path, const std::string& sample, const std::string& texture_path,

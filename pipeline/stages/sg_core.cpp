@@ -46,8 +46,9 @@ Eigen::Array3d power(const CoreSurface& surface, const std::vector<Rgb>& values)
 
 nlohmann::json list(const Eigen::Array3d& a) { return {a[0], a[1], a[2]}; }
 
-// Fluence at the points of hexahedra, as sg-diffuse writes it.
-FluenceField read_fluence_field(const std::string& path, const TriangleMesh& surface, const std::string& surface_path) {
+// Fluence at the points of hexahedra, as sg-diffuse writes it for a shell and a scene's lights.
+FluenceField read_fluence_field(const std::string& path, const TriangleMesh& surface, const std::string& surface_path,
+                                const std::string& shell_path, const Scene& scene) {
   UnstructuredGrid grid = read_vtkhdf(path);
   const DataArray* data = grid.find_point("fluence");
   const auto* values = data ? std::get_if<std::vector<float>>(&data->values) : nullptr;
@@ -64,6 +65,11 @@ FluenceField read_fluence_field(const std::string& path, const TriangleMesh& sur
   if (!(apart < 0.05 * (mesh_box.upper - mesh_box.lower).norm()))
     throw InputError(fmt::format("{} and {} are not of the same object: their bounds are {:.3g} mm apart", path,
                                  surface_path, apart));
+  std::map<std::string, std::string> notes;
+  for (const DataArray& array : grid.field_data)
+    if (const auto* text = std::get_if<std::vector<std::uint8_t>>(&array.values))
+      notes[array.name] = std::string(text->begin(), text->end());
+  require_shell_and_lights_of(notes, path, "sg-diffuse", shell_path, scene);
   std::vector<Rgb> fluence;
   for (std::size_t p = 0; p + 2 < values->size(); p += 3)
     fluence.emplace_back((*values)[p], (*values)[p + 1], (*values)[p + 2]);
@@ -239,7 +245,8 @@ int main(int argc, char** argv) {
         fluence_path.empty()
             ? dipole_shine(core, frames, pieces ? &*pieces : nullptr, shell, ior, model == "paper",
                            flat ? 0 : core_size(frames, core, shell.thickness), options, run)
-            : diffusion_shine(core, shell, frames, read_fluence_field(fluence_path, surface.mesh, mesh_path));
+            : diffusion_shine(core, shell, frames,
+                              read_fluence_field(fluence_path, surface.mesh, mesh_path, shell_path, scene));
 
     const Eigen::Array3d leaving = power(core, shine.exitance);
     if (pieces) {

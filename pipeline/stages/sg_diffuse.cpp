@@ -10,6 +10,7 @@
 #include "pipeline/cli/option_table.h"
 #include "pipeline/cli/stage_program.h"
 #include "pipeline/scene/exitance_mesh.h"
+#include "pipeline/scene/origin.h"
 #include "pipeline/scene/scene.h"
 #include "pipeline/scene/scene_checks.h"
 #include "solvers/diffusion/polygrid_diffusion.h"
@@ -20,8 +21,12 @@ namespace {
 
 constexpr double least_tolerance = 1e-12;
 
-UnstructuredGrid fluence_grid(const Polygrid& polygrid, const std::vector<Rgb>& fluence) {
+// notes: what it was made from.
+UnstructuredGrid fluence_grid(const Polygrid& polygrid, const std::vector<Rgb>& fluence,
+                              const std::map<std::string, std::string>& notes) {
   UnstructuredGrid grid;
+  for (const auto& [key, text] : notes)
+    grid.field_data.push_back({key, 1, std::vector<std::uint8_t>(text.begin(), text.end())});
   grid.points = polygrid.points;
   grid.connectivity.assign(polygrid.cells.data(), polygrid.cells.data() + polygrid.cells.size());
   for (Eigen::Index cell = 0; cell <= polygrid.cells.rows(); ++cell) grid.offsets.push_back(8 * cell);
@@ -211,7 +216,9 @@ int main(int argc, char** argv) {
     run.start_timer("write");
     write_ply(exitance_path, exitance_mesh(surface, result.exitance, result.irradiance));
     run.note_output(exitance_path);
-    write_vtkhdf(run.output(), fluence_grid(polygrid, result.fluence));
+    std::map<std::string, std::string> notes = {{lights_note, hash_lights(scene.lights)}};
+    if (!shell_path.empty()) notes[shell_note] = hash_files({shell_path});
+    write_vtkhdf(run.output(), fluence_grid(polygrid, result.fluence, notes));
     record(result, run.results());
     run.print(fmt::format("{}: {} unknowns × RGB, {} cycles, {} iterations, energy defect {:.1e}", run.output(),
                           result.solve.unknowns, result.solve.cycles, result.solve.iterations,

@@ -110,6 +110,7 @@ class ShellTextureSceneTest(WorkplaceTest):
         self.assertTrue(0.3 < blue < green < red)
         # Even light has nothing to correct; a sun's does, where the ball turns away from it.
         self.assertEqual(results["vertices_corrected"], 0)
+        shutil.copyfile(self.at("out", "fluence.hdf"), self.at("even.hdf"))
         self.content["lights"] = [SUN]
         self.make()
         self.assertGreater(record(self.at("out", "image.exr"))["results"]["vertices_corrected"], 0)
@@ -123,6 +124,7 @@ class ShellTextureSceneTest(WorkplaceTest):
         for code, complaint, arguments in (
                 (3, "fluence", ["--fluence", self.at("out", "polygrid.hdf")]),
                 (3, "fluence", ["--fluence", self.at("out", "tets.hdf")]),
+                (3, "under other lights", ["--fluence", self.at("even.hdf")]),
                 (2, "--fluence", ["--fluence", self.at("out", "fluence.hdf"), "--bounces", 3])):
             done = run("core", self.at("out", "plan", "core.json"), *files, "-o", self.at("refused.ply"), *arguments)
             self.assertEqual(done.returncode, code, (arguments, done.stderr))
