@@ -29,7 +29,7 @@ class BentShell(unittest.TestCase):
             side = 60 if LONG else 30
             scene = study.make("ball", stf_scenes.scene(mesh, size, sample, thickness, voxel,
                                                         stf_scenes.camera((10 * size, 2 * size, 0), 7, side, side),
-                                                        lights, ior, error=0.03, samples=4), "image.exr")
+                                                        lights, ior, error=0.01, samples=4), "image.exr")
             truth = scene.truth(160)
             told = {}
             for name, flags in (("bent", []), ("flat", ["--flat"])):
