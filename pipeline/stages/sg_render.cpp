@@ -79,8 +79,7 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
                     "that of the surface alone",
                     files.shell, shell.ior, scene.object->ior));
   std::string sample;
-  const auto texture =
-      naming(files.texture, [&] { return open_shell_texture(files.texture, ShellTextureParts::all, &sample); });
+  const auto texture = open_shell_texture(files.texture, ShellTextureParts::all, &sample);
   require_same_samples(sample, files.texture, note_of(read_notes(surface_path), samples_note), surface_path);
   require_same_samples(sample, files.texture, note_of(shell_notes, samples_note), files.shell);
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)

@@ -149,6 +149,7 @@ class ShellTextureSceneTest(WorkplaceTest):
             self.assertEqual(done.returncode, code, (arguments, done.stderr))
             self.assertIn(complaint, done.stderr)
             self.assertEqual(len(done.stderr.strip().split("\n")), 1, done.stderr)
+            self.assertNotRegex(done.stderr, r"(\S+): \1: ")
             self.assertFalse(os.path.exists(out))
 
     def refuses_files_of_another_making(self, files, core):
