@@ -3,10 +3,11 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <utility>
+
+#include "solvers/shell_texture/shadow_rays.h"
 
 namespace shellgrid {
 
@@ -55,27 +56,19 @@ const SharedVisibility::Sample& SharedVisibility::sample(int cell) const {
     Sample made;
     made.seen.assign((lights_.size() + 63) / 64, 0);
     made.hidden = made.seen;
-    std::array<Vec3, SceneGeometry::most_rays> ways;
-    std::array<double, SceneGeometry::most_rays> distances;
-    distances.fill(std::numeric_limits<double>::infinity());
-    std::array<std::size_t, SceneGeometry::most_rays> which{};
-    int waiting = 0;
-    std::int64_t traced = 0;
-    const auto ask = [&] {
-      const std::uint32_t hidden = geometry_.occluded(origin, ways.data(), distances.data(), waiting);
-      for (int k = 0; k < waiting; ++k)
-        (hidden >> k & 1 ? made.hidden : made.seen)[which[k] / 64] |= std::uint64_t{1} << (which[k] % 64);
-      traced += waiting;
-      waiting = 0;
+    ShadowRays rays(geometry_, origin);
+    const auto put = [](std::vector<std::uint64_t>& bits, int light) {
+      bits[static_cast<std::size_t>(light) / 64] |= std::uint64_t{1} << (light % 64);
     };
-    for (std::size_t i = 0; i < lights_.size(); ++i) {
+    const auto unhide = [&](int light) { put(made.seen, light); };
+    for (int i = 0; i < static_cast<int>(lights_.size()); ++i) {
       if (!(lights_[i].dot(normal) > 0)) continue;
-      ways[waiting] = lights_[i];
-      which[waiting] = i;
-      if (++waiting == SceneGeometry::most_rays) ask();
+      put(made.hidden, i);
+      rays.ask(i, lights_[i], std::numeric_limits<double>::infinity(), unhide);
     }
-    if (waiting > 0) ask();
-    shadow_rays_ += traced;
+    rays.finish(unhide);
+    for (std::size_t word = 0; word < made.seen.size(); ++word) made.hidden[word] &= ~made.seen[word];
+    shadow_rays_ += rays.traced();
     return made;
   });
 }
