@@ -232,7 +232,8 @@ int main(int argc, char** argv) {
     const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
     const IncidentLight light(frames, geometry, scene.lights, texture->directions(), environment_samples);
     const IrradianceKernels kernels = corrected_by(texture->kernels(), irradiance_correction(correction));
-    const SpreadLight spread(light, kernels, texture->size(), surface.coordinate);
+    const SpreadLight spread(light, kernels, texture->size(), surface.coordinate,
+                             kernels.empty() ? std::vector<Vec3f>() : band_responses(*texture, true));
     const double edge = fluence_path.empty() && piece > 0 ? piece * clearness(shell) * shell.thickness : 0;
     std::optional<VertexBuckets> pieces;
     if (edge > 0) pieces.emplace(frames, vertex_areas(surface.mesh), edge);

@@ -16,7 +16,7 @@ namespace {
 
 constexpr float pi = std::numbers::pi_v<float>;
 constexpr std::int32_t free_space_kind = 0;
-constexpr float gentle = 0.5f;  // a difference of irradiance, of the nearest vertex', that the colours do not tell of
+constexpr float gentle = 0.5f;
 
 }  // namespace
 
@@ -103,17 +103,25 @@ ShellLight::SurfaceLight ShellLight::prepared(std::vector<DirectionWeight> list)
 }
 
 // Where the light is nearly that of the nearest vertex it is the same in another strength.
-template <class Part, class LookUp>
-Vec3f ShellLight::between(const SurfacePlace& place, const SurfaceLight& own, const Part& part, const LookUp& look_up) {
-  Vec3f irradiance = Vec3f::Zero();
+template <class PartOf, class LookUp>
+Vec3f ShellLight::between(const SurfacePlace& place, const VertexLight& own, const PartOf& part,
+                          const LookUp& look_up) const {
+  const auto scaled = [&](const Part& one, const Vec3f& to) -> Vec3f {
+    return look_up(one.light.light).array() *
+           (one.list.array() > 0).select(to.array() / one.list.array().max(1e-30f), 1.0f);
+  };
+  Vec3f mean = Vec3f::Zero();
   for (int k = 0; k < 3; ++k)
-    if (place.weights[k] > 0) irradiance += place.weights[k] * part(place.vertices[k]).irradiance;
-  if (((irradiance - own.irradiance).array().abs() <= gentle * own.irradiance.array()).all())
-    return look_up(own.light).array() *
-           (own.irradiance.array() > 0).select(irradiance.array() / own.irradiance.array().max(1e-30f), 1.0f);
+    if (place.weights[k] > 0) mean += place.weights[k] * part(light_at(place.vertices[k])).strength;
+  const Part nearest = part(own);
+  if (((mean - nearest.strength).array().abs() <= gentle * nearest.strength.array()).all())
+    return scaled(nearest, mean);
   Vec3f sum = Vec3f::Zero();
-  for (int k = 0; k < 3; ++k)
-    if (place.weights[k] > 0) sum += place.weights[k] * look_up(part(place.vertices[k]).light);
+  for (int k = 0; k < 3; ++k) {
+    if (!(place.weights[k] > 0)) continue;
+    const Part one = part(light_at(place.vertices[k]));
+    sum += place.weights[k] * scaled(one, one.strength);
+  }
   return sum;
 }
 
@@ -121,9 +129,13 @@ const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
   if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
   auto made = std::make_unique<VertexLight>();
   made->light = prepared(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
-  if (parts_.outside)
-    for (std::vector<DirectionWeight>& band : incident_.spread(vertex))
-      made->spread.push_back(prepared(std::move(band)));
+  if (parts_.outside) {
+    SpreadLight::Bands bands = incident_.spread(vertex);
+    made->own = std::move(bands.own);
+    made->strength = std::move(bands.strength);
+    made->spread.reserve(bands.list.size());
+    for (std::vector<DirectionWeight>& band : bands.list) made->spread.push_back(prepared(std::move(band)));
+  }
   double sum = 0, weights = 0;
   for (const DirectionWeight& one : made->light.light.list) {
     const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();
@@ -165,19 +177,33 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
   value.whole = texture_.matter()[sampled] > 0.999f;
   const SurfacePlace on_surface = place_about(vertex, shell_.frame.to_world(voxel));
   const PreparedLight& own = light.light.light;
-  if (light.spread.empty()) {
+  if (light.strength.empty()) {
     const VoxelLight around = texture.at(place, own);
     value.multiple = around.multiple;
     value.single = value.whole ? texture.voxel_light(sampled, own).single : around.single;
   } else {
+    // Of one light both are found at once.
+    const PreparedLight* looked_up = nullptr;
+    VoxelLight around;
+    const auto at_place = [&](const PreparedLight& part) -> const VoxelLight& {
+      if (&part != looked_up) around = texture.at(place, part);
+      looked_up = &part;
+      return around;
+    };
     const int band = texture_.kernels().band_of(static_cast<int>(place.z()));
     value.multiple = between(
-        on_surface, light.spread[band], [&](int v) -> const SurfaceLight& { return light_at(v).in_band(band); },
-        [&](const PreparedLight& part) { return texture.at(place, part).multiple; });
+        on_surface, light,
+        [&](const VertexLight& at) -> Part {
+          return {at.in_band(band), at.list_strength(band), at.strength_in_band(band)};
+        },
+        [&](const PreparedLight& part) -> const Vec3f& { return at_place(part).multiple; });
     value.single = between(
-        on_surface, light.light, [&](int v) -> const SurfaceLight& { return light_at(v).light; },
-        [&](const PreparedLight& part) {
-          return value.whole ? texture.voxel_light(sampled, part).single : texture.at(place, part).single;
+        on_surface, light,
+        [](const VertexLight& at) -> Part {
+          return {at.light, at.light.irradiance, at.light.irradiance};
+        },
+        [&](const PreparedLight& part) -> Vec3f {
+          return value.whole ? texture.voxel_light(sampled, part).single : at_place(part).single;
         });
   }
   value.multiple = value.multiple.max(0);

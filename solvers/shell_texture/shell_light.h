@@ -104,9 +104,15 @@ class ShellLight {
   };
   struct VertexLight {
     SurfaceLight light;
-    std::vector<SurfaceLight> spread;  // of each of the kernels' bands; none where the light is even
+    // How bright `light` would make each of the kernels' bands, and how bright the light about does; the latter empty
+    // where that is the same.
+    std::vector<Vec3f> own, strength;
+    std::vector<SurfaceLight> spread;  // the light about as each band sees it; none where it is `light` in its strength
     float way = 0;  // of refracted beams for each step down, 1/cosθ; of many beams the one that serves for all
     const SurfaceLight& in_band(int band) const { return spread.empty() ? light : spread[band]; }
+    const Vec3f& strength_in_band(int band) const { return strength.empty() ? own[band] : strength[band]; }
+    // Of `in_band`'s list.
+    const Vec3f& list_strength(int band) const { return spread.empty() ? own[band] : strength[band]; }
   };
   const VertexLight& light_at(int vertex) const;
   SurfaceLight prepared(std::vector<DirectionWeight> list) const;
@@ -120,10 +126,14 @@ class ShellLight {
     return place.weights[0] * core_[place.vertices[0]] + place.weights[1] * core_[place.vertices[1]] +
            place.weights[2] * core_[place.vertices[2]];
   }
-  // `look_up` of the light of the place's vertices, linear between them. part: a vertex's light; own: the nearest
-  // one's.
-  template <class Part, class LookUp>
-  static Vec3f between(const SurfacePlace& place, const SurfaceLight& own, const Part& part, const LookUp& look_up);
+  // A list of light, its strength, and that in which it is meant.
+  struct Part {
+    const SurfaceLight& light;
+    const Vec3f &list, &strength;
+  };
+  // `look_up` of the light of the place's vertices, linear between them. own: of the nearest one. part: of a vertex's.
+  template <class PartOf, class LookUp>
+  Vec3f between(const SurfacePlace& place, const VertexLight& own, const PartOf& part, const LookUp& look_up) const;
   // The table's direction within matter below a smooth surface.
   Vec3 refracted_direction(int direction) const;
   std::size_t sample_voxel(const Vec3f& place, Vec3f& offset) const;

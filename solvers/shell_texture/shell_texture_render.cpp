@@ -309,7 +309,8 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
   const IncidentLight incident(scene.frames, stage.geometry, lights, scene.texture.directions(),
                                settings.render.environment_samples);
   const IrradianceKernels kernels = corrected_by(scene.texture.kernels(), settings.correction);
-  const SpreadLight spread(incident, kernels, scene.texture.size(), scene.coordinates);
+  const SpreadLight spread(incident, kernels, scene.texture.size(), scene.coordinates,
+                           kernels.empty() ? std::vector<Vec3f>() : band_responses(scene.texture, false));
   const ShellLight light(scene.shell, scene.frames, spread, scene.texture, scene.core,
                          {settings.outside_light, settings.core_light}, scene.curvature);
   const ShellPicture picture(scene, stage, light, settings);

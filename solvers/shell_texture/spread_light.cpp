@@ -18,12 +18,14 @@ namespace shellgrid {
 
 namespace {
 
+using Lanes = BandKernels::Lanes;
+
 constexpr double counted_share = 0.97;  // of a kernel's light
 constexpr int cells_a_radius = 4;
 constexpr int reach = cells_a_radius + 1;
-constexpr std::size_t usual_parts = 160;
-constexpr double apart = 0.8;   // buckets farther off than so many cells count as wholes
-constexpr double sudden = 0.1;  // of the brightest: a difference within a cell that may be a shadow's
+constexpr std::size_t looked_at = 500;  // texels, for means of the sample
+constexpr double apart = 0.8;           // buckets farther off than so many cells count as wholes
+constexpr double sudden = 0.1;          // of the brightest: a difference within a cell that may be a shadow's
 
 // Kernels of light that enters evenly on a square of that edge, about as on a disc: by the distance to its middle.
 IrradianceKernels spread_out(const IrradianceKernels& kernel, double edge) {
@@ -62,8 +64,48 @@ const T& SpreadLight::Lazy<T>::get(int index, const Make& make) const {
   return *owned.back();
 }
 
+std::vector<Vec3f> band_responses(const ShellTextureLookup& texture, bool bottom_alone) {
+  const IrradianceKernels& kernels = texture.kernels();
+  if (kernels.empty()) return {};
+  const int directions = texture.directions().count();
+  const Vec3i& size = texture.size();
+  const auto texels = static_cast<std::size_t>(size.x()) * size.y();
+  std::vector<Vec3f> result(static_cast<std::size_t>(kernels.bands()) * directions, Vec3f::Zero());
+  std::vector<int> band_of_layer;
+  for (int z = 0; z < size.z(); ++z) band_of_layer.push_back(kernels.band_of(z));
+  parallel_for(
+      static_cast<std::size_t>(directions),
+      [&](std::size_t d) {
+        const auto to = [&](int band) -> Vec3f& { return result[static_cast<std::size_t>(band) * directions + d]; };
+        const auto direction = static_cast<int>(d);
+        const Vec3f* const below = texture.below().data() + d * texels;
+        for (std::size_t t = 0; t < texels; ++t) to(kernels.bottom()) += below[t] / static_cast<float>(texels);
+        if (bottom_alone) {
+          for (int band = 0; band < kernels.bottom(); ++band)
+            to(band).setConstant(static_cast<float>(texture.directions().direction(direction).z()));
+          return;
+        }
+        const auto reader = texture.reader();
+        const PreparedLight light = texture.prepare({{direction, Vec3f::Ones()}});
+        std::vector<float> matter(static_cast<std::size_t>(kernels.bands()), 0.0f);
+        const std::size_t step = std::max<std::size_t>(1, texels / looked_at) | 1;
+        for (int z = 0; z < size.z(); ++z)
+          for (std::size_t t = static_cast<std::size_t>(z) % step; t < texels; t += step) {
+            const std::size_t voxel = z * texels + t;
+            const float share = texture.matter()[voxel];
+            if (!(share > 0) || band_of_layer[z] >= kernels.bottom()) continue;
+            to(band_of_layer[z]) += share * reader->voxel_light(voxel, light).multiple.cwiseMax(0);
+            matter[band_of_layer[z]] += share;
+          }
+        for (int band = 0; band < kernels.bottom(); ++band)
+          if (matter[band] > 0) to(band) /= matter[band];
+      },
+      1);
+  return result;
+}
+
 SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels& kernels, const Vec3i& sample,
-                         const std::vector<Vec2f>& coordinates)
+                         const std::vector<Vec2f>& coordinates, const std::vector<Vec3f>& responses)
     : incident_(incident), kernels_(kernels), sample_(sample), coordinates_(coordinates) {
   const TriangleMesh& mesh = incident.frames().mesh;
   const auto n = static_cast<std::size_t>(mesh.vertex_count());
@@ -75,9 +117,23 @@ SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels&
   edge_ = radius_ / cells_a_radius;
   areas_ = vertex_areas(mesh);
   const IrradianceKernels whole = spread_out(kernels, edge_);
-  within_ = {BandKernels(kernels, 0, kernels.bottom()), BandKernels(whole, 0, kernels.bottom())};
-  bottom_ = {BandKernels(kernels, kernels.bottom(), kernels.bands()),
-             BandKernels(whole, kernels.bottom(), kernels.bands())};
+  const int directions = incident.directions().count();
+  if (!responses.empty() && responses.size() != static_cast<std::size_t>(kernels.bands()) * directions)
+    throw InputError("the bands' responses do not fit the irradiance kernels");
+  const auto prepare = [&](Reach& reach, int first, int end) {
+    reach.point = BandKernels(kernels, first, end);
+    reach.whole = BandKernels(whole, first, end);
+    const int wide = reach.point.wide();
+    reach.response.assign(static_cast<std::size_t>(directions) * wide, Lanes{});
+    for (int d = 0; d < directions; ++d)
+      for (int band = first; band < end; ++band)
+        for (int c = 0; c < 3; ++c)
+          reach.response[static_cast<std::size_t>(d) * wide + (band - first) / 4][4 * ((band - first) % 4) + c] =
+              responses.empty() ? static_cast<float>(incident.directions().direction(d).z())
+                                : responses[static_cast<std::size_t>(band) * directions + d][c];
+  };
+  prepare(within_, 0, kernels.bottom());
+  prepare(bottom_, kernels.bottom(), kernels.bands());
   buckets_ = VertexBuckets(incident.frames(), areas_, edge_);
   const auto count = static_cast<std::size_t>(buckets_.count());
   kernel_areas_.resize(count);
@@ -87,7 +143,9 @@ SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels&
     for (int k = 0; k < kernels.count(); ++k)
       if (areas[k] > 0) kernel_areas_[b].emplace_back(k, areas[k]);
   });
-  means_.known = std::vector<std::atomic<const Entry*>>(count);
+  lit_.known = std::vector<std::atomic<const LitBucket*>>(count);
+  within_.lit.known = std::vector<std::atomic<const std::vector<Lanes>*>>(count);
+  bottom_.lit.known = std::vector<std::atomic<const std::vector<Lanes>*>>(count);
   about_.known = std::vector<std::atomic<const std::vector<int>*>>(count);
   even_ = std::vector<std::atomic<std::uint8_t>>(count);
   even_about_ = std::vector<std::atomic<std::uint8_t>>(count);
@@ -105,8 +163,6 @@ const SpreadLight::Entry& SpreadLight::entry(int vertex) const {
 const std::vector<DirectionWeight>& SpreadLight::at(int vertex) const { return entry(vertex).light; }
 
 namespace {
-
-using Lanes = BandKernels::Lanes;
 
 // A colour four times.
 Lanes four_times(const Float4& colour) {
@@ -204,19 +260,40 @@ void BandKernels::add(int kernel, double distance, float area, Lanes* sums) cons
   for (int w = 0; w < count; ++w) sums[w] += first * row[w] + second * row[count + w];
 }
 
-const SpreadLight::Entry& SpreadLight::mean_of(int bucket) const {
-  return means_.get(bucket, [&] {
+const SpreadLight::LitBucket& SpreadLight::lit(int bucket) const {
+  return lit_.get(bucket, [&] {
     for (const int v : buckets_[bucket].members) entry(v);
     LightSums& sum = kept_sums(incident_.directions().count(), 1);
-    Entry made;
+    LitBucket made;
+    made.sources.reserve(buckets_[bucket].members.size());
     for (const int v : buckets_[bucket].members) {
       const Entry& own = entry(v);
       const Lanes area = four_times(Vec3f::Constant(areas_[v]));
       sum.add(&area, own.light);
       if (buckets_[bucket].area > 0)
-        made.irradiance += areas_[v] / static_cast<float>(buckets_[bucket].area) * own.irradiance;
+        made.mean.irradiance += areas_[v] / static_cast<float>(buckets_[bucket].area) * own.irradiance;
+      made.sources.push_back(
+          {incident_.frames().mesh.vertex(v).cast<float>(), areas_[v], to_lanes(own.irradiance.array()), kernel_of(v)});
     }
-    made.light = sum.mean(0);
+    made.mean.light = sum.mean(0);
+    return made;
+  });
+}
+
+const std::vector<BandKernels::Lanes>& SpreadLight::responses(int bucket, const Reach& reach) const {
+  return reach.lit.get(bucket, [&] {
+    const int wide = reach.point.wide();
+    const std::vector<int>& members = buckets_[bucket].members;
+    std::vector<Lanes> made(wide * (members.size() + 1), Lanes{});
+    const auto respond = [&](const std::vector<DirectionWeight>& light, Lanes* to) {
+      for (const DirectionWeight& one : light) {
+        const Lanes all = four_times(one);
+        const Lanes* row = reach.response.data() + static_cast<std::size_t>(one.direction) * wide;
+        for (int w = 0; w < wide; ++w) to[w] += row[w] * all;
+      }
+    };
+    respond(lit(bucket).mean.light, made.data());
+    for (std::size_t k = 0; k < members.size(); ++k) respond(entry(members[k]).light, made.data() + wide * (k + 1));
     return made;
   });
 }
@@ -246,7 +323,7 @@ const std::vector<int>& SpreadLight::about(int index) const {
 bool SpreadLight::is_even(int index) const {
   if (const std::uint8_t known = even_[index].load(std::memory_order_relaxed)) return known == 2;
   const VertexBuckets::Bucket& bucket = buckets_[index];
-  const Vec3f own = mean_of(index).irradiance;
+  const Vec3f own = lit(index).mean.irradiance;
   Vec3f brightest = own;
   const int inner = within_.whole.wide(), wide = inner + bottom_.whole.wide();
   std::vector<Lanes> sums(wide, Lanes{}), lights(wide, Lanes{}), weights(wide);
@@ -255,7 +332,7 @@ bool SpreadLight::is_even(int index) const {
     if (!(about.facing.dot(bucket.facing) > 0)) continue;
     const double distance = (about.middle - bucket.middle).norm();
     if (distance - about.radius > radius_) continue;
-    const Vec3f light = mean_of(other).irradiance;
+    const Vec3f light = lit(other).mean.irradiance;
     brightest = brightest.cwiseMax(light);
     std::fill(weights.begin(), weights.end(), Lanes{});
     for (const auto& [kernel, area] : kernel_areas_[other]) {
@@ -292,81 +369,124 @@ bool SpreadLight::is_even_about(int index) const {
   return even;
 }
 
-std::vector<std::vector<DirectionWeight>> SpreadLight::spread(int vertex) const {
+SpreadLight::Bands SpreadLight::spread(int vertex) const {
   if (kernels_.empty()) return {};
   return worked_out(vertex, within_);
 }
 
 std::vector<DirectionWeight> SpreadLight::at_bottom(int vertex) const {
   if (kernels_.empty()) return at(vertex);
-  auto spread = worked_out(vertex, bottom_);
-  return spread.empty() ? at(vertex) : std::move(spread.front());
+  Bands spread = worked_out(vertex, bottom_);
+  if (!spread.list.empty()) return std::move(spread.list.front());
+  std::vector<DirectionWeight> list = at(vertex);
+  if (!spread.strength.empty()) {
+    const Vec3f &own = spread.own.front(), &to = spread.strength.front();
+    const Vec3f strength = (own.array() > 0).select(to.array() / own.array().max(1e-30f), 1.0f);
+    for (DirectionWeight& one : list) one.weight = one.weight.cwiseProduct(strength);
+  }
+  return list;
 }
 
-std::vector<std::vector<DirectionWeight>> SpreadLight::worked_out(int vertex, const Reach& reach) const {
-  if (is_even_about(buckets_.of_vertex(vertex))) return {};
+SpreadLight::Bands SpreadLight::worked_out(int vertex, const Reach& reach) const {
+  const int bands = reach.point.bands(), wide = reach.point.wide(), home = buckets_.of_vertex(vertex);
+  const std::vector<int>& members = buckets_[home].members;
+  const auto place_at_home = std::lower_bound(members.begin(), members.end(), vertex) - members.begin();
+  const Lanes* const own_response = responses(home, reach).data() + wide * (1 + place_at_home);
+  Bands result;
+  result.own.reserve(static_cast<std::size_t>(bands));
+  for (int k = 0; k < bands; ++k) result.own.push_back(colour(own_response[k / 4], k % 4));
+  if (is_even_about(home)) return result;
   const TexturedFrames& frames = incident_.frames();
   const Vec3 point = frames.mesh.vertex(vertex), normal = frames.normals.row(vertex).transpose();
-  const int bands = reach.point.bands(), wide = reach.point.wide();
-  std::vector<const Entry*> parts;
-  parts.reserve(usual_parts);
+  const Vec3f place = point.cast<float>();
   const Entry& own = entry(vertex);
+  // The buckets that shine on it, as wholes or by members.
   struct Part {
-    int bucket, vertex;  // vertex −1: all of the bucket
-    double distance;
+    int bucket;
+    const LitBucket* lit;
+    const Lanes* response;
+    double distance;  // < 0: by members
   };
-  std::vector<Part> places;
-  places.reserve(usual_parts);
-  for (const int index : about(buckets_.of_vertex(vertex))) {
+  thread_local std::vector<Part> parts;
+  parts.clear();
+  const Float4 own_irradiance = to_lanes(own.irradiance.array());
+  Float4 brightest = own_irradiance, differ = {};
+  const auto compare = [&](const Float4& irradiance) {
+    const Float4 difference = irradiance - own_irradiance;
+    brightest = irradiance > brightest ? irradiance : brightest;
+    const Float4 size = difference < 0 ? -difference : difference;
+    differ = size > differ ? size : differ;
+  };
+  for (const int index : about(home)) {
     const VertexBuckets::Bucket& bucket = buckets_[index];
     if (!(bucket.facing.dot(normal) > 0)) continue;
     const double distance = (bucket.middle - point).norm();
     if (distance - bucket.radius > radius_) continue;
-    if (distance > apart * edge_ + bucket.radius) {
-      parts.push_back(&mean_of(index));
-      places.push_back({index, -1, distance});
-      continue;
-    }
-    for (const int v : bucket.members) {
-      parts.push_back(&entry(v));
-      places.push_back({index, v, (frames.mesh.vertex(v) - point).norm()});
-    }
-  }
-  Vec3f brightest = own.irradiance;
-  for (const Entry* part : parts) brightest = brightest.cwiseMax(part->irradiance);
-  if (!(brightest.array() > 0).any()) return {};
-  const Vec3f bound = static_cast<float>(unevenness) * brightest;
-  bool even = true;
-  for (const Entry* part : parts)
-    even = even && !((part->irradiance - own.irradiance).array().abs() > bound.array()).any();
-  if (even) return {};
-  std::vector<Lanes>& weights = kept_weights();  // of each part, by bands
-  weights.resize(parts.size() * wide, Lanes{});
-  for (std::size_t p = 0; p < places.size(); ++p) {
-    const Part& part = places[p];
-    Lanes* const to = weights.data() + p * wide;
-    if (part.vertex >= 0)
-      reach.point.add(kernel_of(part.vertex), part.distance, areas_[part.vertex], to);
+    const LitBucket& light = lit(index);
+    const bool is_far = distance > apart * edge_ + bucket.radius;
+    parts.push_back({index, &light, responses(index, reach).data(), is_far ? distance : -1});
+    if (is_far)
+      compare(to_lanes(light.mean.irradiance.array()));
     else
-      for (const auto& [kernel, area] : kernel_areas_[part.bucket]) reach.whole.add(kernel, part.distance, area, to);
+      for (const Source& source : light.sources) compare(source.irradiance);
   }
-  even = true;
-  for (int w = 0; w < wide && even; ++w) {
-    Lanes sum{}, light{};
-    for (std::size_t p = 0; p < parts.size(); ++p) {
-      sum += weights[p * wide + w];
-      light += weights[p * wide + w] * four_times(parts[p]->irradiance);
+  const Float4 bound = static_cast<float>(unevenness) * brightest;
+  const auto any_above = [](const Float4& a, const Float4& b) { return a[0] > b[0] || a[1] > b[1] || a[2] > b[2]; };
+  if (!any_above(brightest, Float4{}) || !any_above(differ, bound)) return result;
+  // Calls take(part, member's number or −1) for all that shine, with their weights by bands.
+  std::vector<Lanes>& weights = kept_weights();
+  weights.resize(4 * wide, Lanes{});
+  const auto visit = [&](const auto& take) {
+    for (const Part& part : parts) {
+      if (part.distance >= 0) {
+        std::fill_n(weights.begin(), wide, Lanes{});
+        for (const auto& [kernel, area] : kernel_areas_[part.bucket])
+          reach.whole.add(kernel, part.distance, area, weights.data());
+        take(part, -1);
+        continue;
+      }
+      for (std::size_t n = 0; n < part.lit->sources.size(); ++n) {
+        const Source& source = part.lit->sources[n];
+        std::fill_n(weights.begin(), wide, Lanes{});
+        reach.point.add(source.kernel, static_cast<double>((source.place - place).norm()), source.area, weights.data());
+        take(part, static_cast<int>(n));
+      }
     }
-    for (int k = 0; k < 16; ++k)
-      if (k % 4 < 3 && sum[k] > 0 && std::abs(light[k] / sum[k] - own.irradiance[k % 4]) > bound[k % 4]) even = false;
+  };
+  Lanes* const sum = weights.data() + wide;
+  Lanes* const light = sum + wide;
+  Lanes* const greatest = light + wide;
+  std::copy_n(own_response, wide, greatest);
+  visit([&](const Part& part, int member) {
+    const Lanes* const response = part.response + wide * (member + 1);
+    for (int w = 0; w < wide; ++w) {
+      sum[w] += weights[w];
+      light[w] += weights[w] * response[w];
+      greatest[w] = response[w] > greatest[w] ? response[w] : greatest[w];
+    }
+  });
+  bool even = true, is_gentle = true;
+  std::vector<Vec3f> strength;
+  strength.reserve(static_cast<std::size_t>(bands));
+  for (int k = 0; k < bands; ++k) {
+    const Vec3f over = colour(sum[k / 4], k % 4);
+    strength.emplace_back(
+        (over.array() > 0)
+            .select(colour(light[k / 4], k % 4).array() / over.array().max(1e-30f), result.own[k].array()));
+    const auto difference = (strength[k] - result.own[k]).array().abs().eval();
+    even = even && !(difference > static_cast<float>(unevenness) * colour(greatest[k / 4], k % 4).array()).any();
+    is_gentle = is_gentle && !(difference > static_cast<float>(gentle) * result.own[k].array()).any();
   }
-  if (even) return {};
-  LightSums& sums = kept_sums(incident_.directions().count(), bands);
-  for (std::size_t p = 0; p < parts.size(); ++p) sums.add(weights.data() + p * wide, parts[p]->light);
-  std::vector<std::vector<DirectionWeight>> result;
-  result.reserve(static_cast<std::size_t>(bands));
-  for (int k = 0; k < bands; ++k) result.push_back(sums.any(k) ? sums.mean(k) : own.light);
+  if (even) return result;
   ++spread_vertices_;
+  result.strength = std::move(strength);
+  if (is_gentle) return result;
+  LightSums& sums = kept_sums(incident_.directions().count(), bands);
+  visit([&](const Part& part, int member) {
+    sums.add(weights.data(), member < 0 ? part.lit->mean.light : entry(buckets_[part.bucket].members[member]).light);
+  });
+  result.list.reserve(static_cast<std::size_t>(bands));
+  for (int k = 0; k < bands; ++k) result.list.push_back(sums.any(k) ? sums.mean(k) : own.light);
   return result;
 }
 

@@ -35,6 +35,11 @@ class BandKernels {
   std::vector<Lanes> values_;  // at (kernel · (rings + 1) + ring) · wide; the last ring's are 0
 };
 
+// How bright light of each of the table's directions makes the matter of a band, of unit irradiance across it: at band
+// · directions + direction; the bottom's, what passes through it. Means of the sample. bottom_alone: the others' are
+// that of the cosine.
+std::vector<Vec3f> band_responses(const ShellTextureLookup& texture, bool bottom_alone);
+
 // The shell texture function takes the light that one place of the surface gets to shine on all of the sample. Where it
 // does not, at the borders of shadows and where the surface turns away, scattered light comes from the light about:
 // Σ_u A_u κ(d_u) L_u / Σ_u A_u κ(d_u), with κ the kernel of the place u and L_u its light by the table's directions.
@@ -44,21 +49,28 @@ class BandKernels {
 // Worked out where it is asked for. Threads may share it.
 class SpreadLight {
  public:
-  // coordinates: of the vertices in the sample, texels. kernels may be none: then nothing spreads. All must outlive
-  // this. Throws: InputError where sizes do not match.
+  // coordinates: of the vertices in the sample, texels. kernels may be none: then nothing spreads. responses: of the
+  // kernels' bands, or none: that of the cosine. All must outlive this. Throws: InputError where sizes do not match.
   SpreadLight(const IncidentLight& incident, const IrradianceKernels& kernels, const Vec3i& sample,
-              const std::vector<Vec2f>& coordinates);
+              const std::vector<Vec2f>& coordinates, const std::vector<Vec3f>& responses = {});
 
   // The light itself: ordered by direction, each once.
   const std::vector<DirectionWeight>& at(int vertex) const;
-  // For each of the kernels' bands but the bottom the light of which matter there scatters its share; empty where that
-  // is `at` itself, within `unevenness` of the brightest. Not kept.
-  std::vector<std::vector<DirectionWeight>> spread(int vertex) const;
+  // The light of which matter in bands of depth scatters its share.
+  struct Bands {
+    std::vector<Vec3f> own;                          // how bright `at` would make each
+    std::vector<Vec3f> strength;                     // how bright it is; empty where it is `at` itself
+    std::vector<std::vector<DirectionWeight>> list;  // of each; empty where it is `at` in that strength
+  };
+  // For each of the kernels' bands but the bottom; `at` itself within `unevenness` of the brightest. Not kept.
+  Bands spread(int vertex) const;
   // The same for what passes through the bottom alone.
   std::vector<DirectionWeight> at_bottom(int vertex) const;
 
   std::int64_t spread_vertices() const { return spread_vertices_; }
   static constexpr double unevenness = 0.01;
+  // Light that differs by less from that about it is the same in another strength, of its own.
+  static constexpr double gentle = 0.2;
 
  private:
   struct Entry {
@@ -66,12 +78,35 @@ class SpreadLight {
     Vec3f irradiance = Vec3f::Zero();
   };
   const Entry& entry(int vertex) const;
-  const Entry& mean_of(int bucket) const;
+  // Of a bucket's members, one after the other.
+  struct Source {
+    Vec3f place = Vec3f::Zero();
+    float area = 0;
+    Float4 irradiance = {};
+    int kernel = 0;
+  };
+  struct LitBucket {
+    Entry mean;
+    std::vector<Source> sources;
+  };
+  const LitBucket& lit(int bucket) const;
+  template <class T>
+  struct Lazy {
+    mutable std::vector<std::atomic<const T*>> known;
+    mutable std::vector<std::unique_ptr<const T>> owned;
+    mutable std::mutex mutex;
+    // `make` is called without a lock held: of threads that make the same the first one's is kept.
+    template <class Make>
+    const T& get(int index, const Make& make) const;
+  };
   // By distance; of light that enters at a vertex, and all over a bucket.
   struct Reach {
     BandKernels point, whole;
+    std::vector<BandKernels::Lanes> response;        // at direction · wide
+    Lazy<std::vector<BandKernels::Lanes>> lit = {};  // of each bucket: responses to its mean, then to its members
   };
-  std::vector<std::vector<DirectionWeight>> worked_out(int vertex, const Reach& reach) const;
+  const std::vector<BandKernels::Lanes>& responses(int bucket, const Reach& reach) const;
+  Bands worked_out(int vertex, const Reach& reach) const;
   // Whether light is even all about a bucket, as told by its own and its neighbours' means.
   bool is_even_about(int bucket) const;
   bool is_even(int bucket) const;
@@ -87,16 +122,8 @@ class SpreadLight {
   std::vector<float> areas_;      // of vertices, mm²
   VertexBuckets buckets_;
   std::vector<std::vector<std::pair<int, float>>> kernel_areas_;  // of buckets: kernels and their areas, mm²
-  template <class T>
-  struct Lazy {
-    mutable std::vector<std::atomic<const T*>> known;
-    mutable std::vector<std::unique_ptr<const T>> owned;
-    mutable std::mutex mutex;
-    // `make` is called without a lock held: of threads that make the same the first one's is kept.
-    template <class Make>
-    const T& get(int index, const Make& make) const;
-  };
-  Lazy<Entry> entries_, means_;
+  Lazy<Entry> entries_;
+  Lazy<LitBucket> lit_;
   Lazy<std::vector<int>> about_;
   mutable std::vector<std::atomic<std::uint8_t>> even_, even_about_;  // of buckets: 0 unknown, 1 uneven, 2 even
   mutable std::atomic<std::int64_t> spread_vertices_{0};

@@ -140,12 +140,19 @@ TEST(SpreadLight, CrossesShadowBordersAsItsKernelsDo) {
   EXPECT_TRUE(spread.at(scene.vertex(-1)).empty());
   EXPECT_FLOAT_EQ(irradiance(spread.at(scene.vertex(0)))[1], 3);
   const int bands = scene.kernels.bands();
+  // Of the light's direction, by the cosine: no responses are given.
+  float overhead = 0;
+  for (const DirectionWeight& one : blend_directions(table, Vec3(0, 0, 1)))
+    overhead += one.weight[0] * static_cast<float>(table.direction(one.direction).z());
   const auto share = [&](int i, int band, int c) {
-    const auto list = spread.spread(scene.vertex(i));
-    const auto& light = band == scene.kernels.bottom() ? spread.at_bottom(scene.vertex(i))
-                        : list.empty()                 ? spread.at(scene.vertex(i))
-                                                       : list[band];
-    return static_cast<double>(irradiance(light)[c]) / (2 + c);
+    if (band == scene.kernels.bottom())
+      return static_cast<double>(irradiance(spread.at_bottom(scene.vertex(i)))[c]) / (2 + c);
+    const SpreadLight::Bands found = spread.spread(scene.vertex(i));
+    const Vec3f strength = found.strength.empty() ? found.own[band] : found.strength[band];
+    // One direction's: a list is as strong as is said.
+    if (!found.list.empty())
+      EXPECT_LT((irradiance(found.list[band]) * overhead - strength).norm(), 1e-5) << band << " " << i;
+    return static_cast<double>(strength[c] / overhead) / (2 + c);
   };
   double deepest_reach = 0;
   for (int band = 0; band < bands; ++band)
@@ -166,15 +173,19 @@ TEST(SpreadLight, CrossesShadowBordersAsItsKernelsDo) {
       }
   EXPECT_GT(deepest_reach, 0.03);
   // What passes the bottom is of no other band.
-  EXPECT_EQ(spread.spread(scene.vertex(-2)).size(), static_cast<std::size_t>(bands - 1));
+  EXPECT_EQ(spread.spread(scene.vertex(-2)).list.size(), static_cast<std::size_t>(bands - 1));
+  // Where there is little less or more of it the light itself serves, and the list is left out.
+  const SpreadLight::Bands near = spread.spread(scene.vertex(10));
+  EXPECT_FALSE(near.strength.empty());
+  EXPECT_TRUE(near.list.empty());
   // Far from the border light stays as it is, without a list.
-  EXPECT_TRUE(spread.spread(scene.vertex(45)).empty());
-  EXPECT_TRUE(spread.spread(scene.vertex(-45)).empty());
+  EXPECT_TRUE(spread.spread(scene.vertex(45)).strength.empty());
+  EXPECT_TRUE(spread.spread(scene.vertex(-45)).strength.empty());
   EXPECT_TRUE(spread.at_bottom(scene.vertex(-45)).empty());
   // Without kernels nothing spreads.
   const IrradianceKernels none;
   const SpreadLight sharp(light, none, scene.volume.size, scene.coordinates);
-  EXPECT_TRUE(sharp.spread(scene.vertex(0)).empty());
+  EXPECT_TRUE(sharp.spread(scene.vertex(0)).strength.empty());
   EXPECT_TRUE(sharp.at_bottom(scene.vertex(-1)).empty());
 }
 
