@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <thread>
 #include <utility>
 
 #include "meshing/core/error.h"
@@ -152,35 +153,36 @@ const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
   return *owned_lights_.back();
 }
 
-std::size_t ShellLight::sample_voxel(const Vec3f& place, Vec3f& offset) const {
+std::size_t ShellLight::sample_voxel(const Vec3f& place, float& outwards) const {
   const Vec3i& size = texture_.size();
   const auto wrapped = [](int i, int n) { return ((i % n) + n) % n; };
   const Vec3i at(static_cast<int>(std::floor(place.x())), static_cast<int>(std::floor(place.y())),
                  std::clamp(static_cast<int>(std::floor(place.z())), 0, size.z() - 1));
-  offset = place - (at.cast<float>() + Vec3f::Constant(0.5f));
-  offset.z() = -offset.z();
+  outwards = static_cast<float>(at.z()) + 0.5f - place.z();
   return (static_cast<std::size_t>(at.z()) * size.y() + wrapped(at.y(), size.y())) * size.x() +
          wrapped(at.x(), size.x());
 }
 
-ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const Vec3i& voxel,
-                                              ShellTextureReader& texture, int& vertex) const {
-  VoxelFluence value;
+void ShellLight::work_out(int leaf_index, int offset, const Vec3i& voxel, ShellTextureReader& texture, int& vertex,
+                          Float4& multiple_and_matter, Beams& beams) const {
+  multiple_and_matter = Float4{};
+  beams = Beams();
+  if (!TwoLevelGrid<Vec3f>::mask_test(shell_.texture_coordinate.leaf_mask(leaf_index), offset)) return;
   const std::int32_t kind = shell_.kind.leaf_values(leaf_index)[offset];
-  if (kind == free_space_kind || kind == core_voxel_kind) return value;
-  value.matter = true;
+  if (kind == free_space_kind || kind == core_voxel_kind) return;
   vertex = vertices_.nearest(shell_.frame.to_world(voxel), vertex);
-  value.vertex = vertex;
+  beams.vertex = vertex;
   const Vec3f& place = shell_.texture_coordinate.leaf_values(leaf_index)[offset];
   const VertexLight& light = light_at(vertex);
-  const std::size_t sampled = sample_voxel(place, value.offset);
-  value.whole = texture_.matter()[sampled] > 0.999f;
+  const std::size_t sampled = sample_voxel(place, beams.from_middle);
+  const bool is_whole = is_matter(sampled);
+  Rgb multiple, single;
   const SurfacePlace on_surface = place_about(vertex, shell_.frame.to_world(voxel));
   const PreparedLight& own = light.light.light;
   if (light.strength.empty()) {
     const VoxelLight around = texture.at(place, own);
-    value.multiple = around.multiple;
-    value.single = value.whole ? texture.voxel_light(sampled, own).single : around.single;
+    multiple = around.multiple;
+    single = is_whole ? texture.voxel_light(sampled, own).single : around.single;
   } else {
     // Of one light both are found at once.
     const PreparedLight* looked_up = nullptr;
@@ -191,106 +193,164 @@ ShellLight::VoxelFluence ShellLight::work_out(int leaf_index, int offset, const 
       return around;
     };
     const int band = texture_.kernels().band_of(static_cast<int>(place.z()));
-    value.multiple = between(
+    multiple = between(
         on_surface, light,
         [&](const VertexLight& at) -> Part {
           return {at.in_band(band), at.list_strength(band), at.strength_in_band(band)};
         },
         [&](const PreparedLight& part) -> const Vec3f& { return at_place(part).multiple; });
-    value.single = between(
+    single = between(
         on_surface, light,
         [](const VertexLight& at) -> Part {
           return {at.light, at.light.irradiance, at.light.irradiance};
         },
         [&](const PreparedLight& part) -> Vec3f {
-          return value.whole ? texture.voxel_light(sampled, part).single : at_place(part).single;
+          return is_whole ? texture.voxel_light(sampled, part).single : at_place(part).single;
         });
   }
-  value.multiple = value.multiple.max(0);
-  value.single = value.single.max(0);
+  multiple = multiple.max(0);
+  single = single.max(0);
   Rgb back = Rgb::Ones();
+  beams.share.setOnes();
   if (curvature_) {
     const BentShell::Ratios bent = curvature_->at(vertex, place.z());
-    value.multiple *= bent.multiple;
-    value.single *= bent.single;
-    value.bent = bent.single;
+    multiple *= bent.multiple;
+    single *= bent.single;
+    beams.share = bent.single;
     back = bent.back;
   }
   // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
-  if (has_core()) value.multiple += 2 * core_exitance(on_surface) * back * texture.back(place).array().max(0);
+  if (has_core()) multiple += 2 * core_exitance(on_surface) * back * texture.back(place).array().max(0);
+  multiple_and_matter = to_lanes(multiple);
+  multiple_and_matter[3] = 1;
+  beams.source = single / (4 * pi);
+  if (is_whole) {
+    // e^{−σ s} in the middle over its mean in the voxel, s the beams' way.
+    beams.way = light.way;
+    beams.normal = frames_.normals.row(vertex).transpose().cast<float>();
+    const Rgb extinction = shell_.extinction.value(voxel.x(), voxel.y(), voxel.z()).array();
+    beams.fall = (extinction * (light.way * static_cast<float>(shell_.frame.voxel))).min(60.0f);
+    const Rgb half = beams.fall / 2, square = half.square();
+    const Rgb mean = (half > 2).select((half.exp() - (-half).exp()) / (2 * half.max(1e-6f)),
+                                       1 + square / 6 * (1 + square / 20 * (1 + square / 42)));
+    beams.source /= mean;
+    beams.share /= mean;
+  }
   ++voxels_;
-  return value;
 }
 
-const ShellLight::VoxelFluence* ShellLight::Reader::at(const Vec3i& voxel) {
-  const auto& grid = light_.shell_.texture_coordinate;
-  const Vec3i leaf_at = TwoLevelGrid<Vec3f>::leaf_of(voxel.x(), voxel.y(), voxel.z());
-  if (leaf_at != leaf_at_) {
-    leaf_at_ = leaf_at;
-    leaf_index_ = grid.find_leaf(leaf_at);
-    leaf_ = leaf_index_ < 0 ? nullptr : &light_.leaf(leaf_index_);
+const ShellLight::Reader::Found& ShellLight::Reader::find_leaf(const Vec3i& leaf_at) {
+  Found& found = leaves_[(leaf_at.x() & 1) | (leaf_at.y() & 1) << 1 | (leaf_at.z() & 1) << 2];
+  if (leaf_at != found.at) {
+    found.at = leaf_at;
+    found.index = light_.shell_.texture_coordinate.find_leaf(leaf_at);
+    found.leaf = found.index < 0 ? nullptr : &light_.leaf(found.index);
   }
-  if (!leaf_) return nullptr;
-  const int offset = TwoLevelGrid<Vec3f>::offset_of(voxel.x(), voxel.y(), voxel.z());
-  Leaf& leaf = *leaf_;
-  VoxelFluence* value = &leaf.values[offset];
-  if (leaf.flags[offset].load(std::memory_order_acquire) != 2) {
-    if (!TwoLevelGrid<Vec3f>::mask_test(grid.leaf_mask(leaf_index_), offset)) return nullptr;
-    const VoxelFluence found = light_.work_out(leaf_index_, offset, voxel, *texture_, vertex_);
-    std::uint8_t unknown = 0;
-    if (leaf.flags[offset].compare_exchange_strong(unknown, 1)) {
-      *value = found;
-      leaf.flags[offset].store(2, std::memory_order_release);
-    } else {
-      // Another thread is writing the same.
-      value = &spare_[next_spare_++ % spare_.size()];
-      *value = found;
+  return found;
+}
+
+void ShellLight::Reader::need(const Found& found, int offset, const Vec3i& voxel) {
+  std::atomic<std::uint8_t>& flag = found.leaf->flags[offset];
+  if (flag.load(std::memory_order_acquire) == 2) return;
+  Float4 multiple;
+  Beams beams;
+  light_.work_out(found.index, offset, voxel, *texture_, vertex_, multiple, beams);
+  std::uint8_t unknown = 0;
+  if (flag.compare_exchange_strong(unknown, 1)) {
+    found.leaf->multiple[offset] = multiple;
+    found.leaf->beams[offset] = beams;
+    flag.store(2, std::memory_order_release);
+  } else {
+    // Another thread is writing the same.
+    while (flag.load(std::memory_order_acquire) != 2) std::this_thread::yield();
+  }
+}
+
+namespace {
+
+using Grid = TwoLevelGrid<Vec3f>;
+
+// The eight voxels about a point: the lowest one, and weights, x the fastest.
+struct EightAbout {
+  Vec3i low;
+  std::array<float, 8> weights;
+  explicit EightAbout(const Vec3& index) {
+    const Vec3 floor(std::floor(index.x()), std::floor(index.y()), std::floor(index.z()));
+    low = floor.cast<int>();
+    const Vec3f high = (index - floor).cast<float>(), rest = Vec3f::Ones() - high;
+    for (int corner = 0; corner < 8; ++corner)
+      weights[corner] =
+          (corner & 1 ? high : rest).x() * (corner & 2 ? high : rest).y() * (corner & 4 ? high : rest).z();
+  }
+  static Vec3i step(int corner) { return {corner & 1, corner >> 1 & 1, corner >> 2}; }
+};
+
+}  // namespace
+
+Rgb ShellLight::Reader::multiple(const Vec3& index) {
+  const EightAbout eight(index);
+  const Vec3i& low = eight.low;
+  Float4 sum = {};
+  if ((low.x() & 7) != 7 && (low.y() & 7) != 7 && (low.z() & 7) != 7) {
+    const Found& found = find_leaf(Grid::leaf_of(low.x(), low.y(), low.z()));
+    if (!found.leaf) return Rgb::Zero();
+    const int first = Grid::offset_of(low.x(), low.y(), low.z());
+    static constexpr std::array<int, 8> steps = {0, 64, 8, 72, 1, 65, 9, 73};
+    std::uint8_t all = 2;
+    for (const int step : steps) all &= found.leaf->flags[first + step].load(std::memory_order_acquire);
+    if (all != 2)
+      for (int corner = 0; corner < 8; ++corner)
+        if (eight.weights[corner] > 0) need(found, first + steps[corner], low + EightAbout::step(corner));
+    for (int corner = 0; corner < 8; ++corner)
+      if (eight.weights[corner] > 0) sum += eight.weights[corner] * found.leaf->multiple[first + steps[corner]];
+  } else {
+    for (int corner = 0; corner < 8; ++corner) {
+      if (!(eight.weights[corner] > 0)) continue;
+      const Vec3i voxel = low + EightAbout::step(corner);
+      const Found& found = find_leaf(Grid::leaf_of(voxel.x(), voxel.y(), voxel.z()));
+      if (!found.leaf) continue;
+      const int offset = Grid::offset_of(voxel.x(), voxel.y(), voxel.z());
+      need(found, offset, voxel);
+      sum += eight.weights[corner] * found.leaf->multiple[offset];
     }
   }
-  return value->matter ? value : nullptr;
+  return sum[3] > 0 ? Rgb(Rgb(sum[0], sum[1], sum[2]) / sum[3]) : Rgb(Rgb::Zero());
 }
 
-Rgb ShellLight::Reader::multiple(const Vec3& index, std::int32_t& vertex) {
-  const Vec3i low(static_cast<int>(std::floor(index.x())), static_cast<int>(std::floor(index.y())),
-                  static_cast<int>(std::floor(index.z())));
-  const Vec3f part = (index - low.cast<double>()).cast<float>();
-  Rgb sum = Rgb::Zero();
-  float weights = 0, greatest = 0;
+std::int32_t ShellLight::Reader::vertex(const Vec3& index) {
+  const EightAbout eight(index);
+  std::int32_t vertex = -1;
+  float greatest = 0;
   for (int corner = 0; corner < 8; ++corner) {
-    const Vec3i step(corner & 1, corner >> 1 & 1, corner >> 2);
-    float weight = 1;
-    for (int a = 0; a < 3; ++a) weight *= step[a] ? part[a] : 1 - part[a];
-    if (!(weight > 0)) continue;
-    const VoxelFluence* value = at(low + step);
-    if (!value) continue;
-    sum += weight * value->multiple;
-    weights += weight;
-    if (weight > greatest) {
-      greatest = weight;
-      vertex = value->vertex;
-    }
+    const Vec3i voxel = eight.low + EightAbout::step(corner);
+    const Found& found = find_leaf(Grid::leaf_of(voxel.x(), voxel.y(), voxel.z()));
+    if (!found.leaf || !(eight.weights[corner] > greatest)) continue;
+    const int offset = Grid::offset_of(voxel.x(), voxel.y(), voxel.z());
+    need(found, offset, voxel);
+    if (found.leaf->beams[offset].vertex < 0) continue;
+    greatest = eight.weights[corner];
+    vertex = found.leaf->beams[offset].vertex;
   }
-  return weights > 0 ? Rgb(sum / weights) : Rgb(Rgb::Zero());
+  return vertex;
 }
 
 Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3& direction, const Vec3f& anisotropy,
                               const Rgb& extinction, Rgb& growth) {
   growth = Rgb::Zero();
-  const VoxelFluence* found = at(voxel);
-  if (!found || !light_.parts_.outside) return Rgb::Zero();
-  const VoxelFluence& value = *found;
-  const VertexLight& light = light_.light_at(value.vertex);
-  const Mat3 frame = light_.frames_.frame(value.vertex);
-  Rgb source;
-  if (anisotropy.cwiseAbs().maxCoeff() < static_cast<float>(isotropic_below)) {
-    source = value.single / (4 * pi);
-  } else {
+  const Found& found = find_leaf(Grid::leaf_of(voxel.x(), voxel.y(), voxel.z()));
+  if (!found.leaf || !light_.parts_.outside) return Rgb::Zero();
+  const int offset = Grid::offset_of(voxel.x(), voxel.y(), voxel.z());
+  need(found, offset, voxel);
+  const Beams& value = found.leaf->beams[offset];
+  if (value.vertex < 0) return Rgb::Zero();
+  Rgb source = value.source;
+  if (!(anisotropy.cwiseAbs().maxCoeff() < static_cast<float>(isotropic_below))) {
     if (value.vertex != phase_vertex_ || direction != phase_direction_ || anisotropy != phase_anisotropy_) {
       phase_vertex_ = value.vertex;
       phase_direction_ = direction;
       phase_anisotropy_ = anisotropy;
-      const Vec3 seen = frame * direction;
-      std::vector<DirectionWeight> list = light.light.light.list;
+      const Vec3 seen = light_.frames_.frame(value.vertex) * direction;
+      std::vector<DirectionWeight> list = light_.light_at(value.vertex).light.light.list;
       for (DirectionWeight& one : list) {
         const double cosine = light_.refracted_direction(one.direction).dot(seen);
         for (int c = 0; c < 3; ++c)
@@ -298,23 +358,19 @@ Rgb ShellLight::Reader::beams(const Vec3i& voxel, const Vec3& index, const Vec3&
       }
       phase_light_ = light_.texture_.prepare(std::move(list));
     }
-    Vec3f offset;
+    float outwards;
     const Vec3f& place = light_.shell_.texture_coordinate.value(voxel.x(), voxel.y(), voxel.z());
-    source = (value.whole ? texture_->voxel_light(light_.sample_voxel(place, offset), phase_light_).single
-                          : texture_->at(place, phase_light_).single)
+    const std::size_t sampled = light_.sample_voxel(place, outwards);
+    source = (light_.is_matter(sampled) ? texture_->voxel_light(sampled, phase_light_).single
+                                        : texture_->at(place, phase_light_).single)
                  .array()
                  .max(0) *
-             value.bent;
+             value.share;
   }
-  if (!value.whole) return source;
-  // e^{−σ s} over its mean in the voxel, s the beams' way from the depth of the voxel's middle.
-  const Vec3f from_middle = value.offset + (frame * (index - voxel.cast<double>())).cast<float>();
-  growth = extinction * (light.way * (frame * direction).cast<float>().z());
-  const Rgb across = (extinction * (light.way * static_cast<float>(light_.shell_.frame.voxel))).min(60.0f);
-  const Rgb half = across / 2, square = half.square();
-  const Rgb mean = (half > 2).select((half.exp() - (-half).exp()) / (2 * half.max(1e-6f)),
-                                     1 + square / 6 * (1 + square / 20 * (1 + square / 42)));
-  return source * (across * from_middle.z()).min(60.0f).exp() / mean;
+  if (!(value.way > 0)) return source;
+  const float outwards = value.from_middle + value.normal.dot((index - voxel.cast<double>()).cast<float>());
+  growth = extinction * (value.way * value.normal.dot(direction.cast<float>()));
+  return source * (value.fall * outwards).min(60.0f).exp();
 }
 
 }  // namespace shellgrid

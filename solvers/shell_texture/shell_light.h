@@ -40,23 +40,24 @@ class ShellLight {
   };
   Counts counts() const;
 
-  // What light does to one voxel.
-  struct VoxelFluence {
-    Rgb multiple = Rgb::Zero();  // φ of scattered light and the core's, W mm⁻²
-    Rgb single = Rgb::Zero();    // φ of the refracted beams: the mean over the sample's voxel there
-    Rgb bent = Rgb::Ones();      // of which curvature makes so many times as much; `single` has it already
-    // From the middle of the sample's voxel to that of this one, in the sample's frame, z outwards, voxels.
-    Vec3f offset = Vec3f::Zero();
-    std::int32_t vertex = -1;  // of the surface, nearest
-    bool matter = false;
-    bool whole = false;  // the sample's voxel is all matter
-  };
-
  private:
   static constexpr int leaf_size = TwoLevelGrid<Vec3f>::leaf_size;
+  // The beams in one voxel of matter.
+  struct Beams {
+    Rgb source = Rgb::Zero();  // φ/4π of the beams in its middle
+    Rgb share = Rgb::Zero();   // of the sample's beams: by curvature, and of the voxel's mean in its middle
+    Rgb fall = Rgb::Zero();    // optical depth of a voxel along the beams; 0 where matter does not fill the voxel
+    Vec3f normal = Vec3f::Zero();
+    float from_middle = 0;     // of the sample's voxel, outwards, to that of this one, voxels
+    float way = 0;             // of the beams for each step down; 0 where matter does not fill the voxel
+    std::int32_t vertex = -1;  // of the surface, nearest
+  };
   // Values are written once, then their flag is set: 0 unknown, 1 being written, 2 there.
   struct Leaf {
-    std::array<VoxelFluence, leaf_size> values;
+    Leaf() {}  // values stay as the memory has them
+    // φ of scattered light and the core's, W mm⁻²; in the last lane 1 where there is matter, else all 0.
+    std::array<Float4, leaf_size> multiple;
+    std::array<Beams, leaf_size> beams;
     std::array<std::atomic<std::uint8_t>, leaf_size> flags = {};
   };
 
@@ -65,13 +66,11 @@ class ShellLight {
    public:
     explicit Reader(const ShellLight& light) : light_(light), texture_(light.texture_.reader()) {}
 
-    // Voxel (i, j, k) of the shell's grid; null where it holds no matter. What it points to holds until eight more are
-    // asked for.
-    const VoxelFluence* at(const Vec3i& voxel);
-    int nearest_vertex(const Vec3& point) { return vertex_ = light_.vertices_.nearest(point, vertex_); }
-    // φ of the multiple kind about a point, by its grid coordinates: trilinear between voxels of matter. `vertex` is
-    // set to that of the nearest one. None where there is no matter.
-    Rgb multiple(const Vec3& index, std::int32_t& vertex);
+    // φ of the multiple kind about a point, by its grid coordinates: trilinear between voxels of matter. None where
+    // there is no matter.
+    Rgb multiple(const Vec3& index);
+    // The vertex nearest to that voxel of the eight about a point which weighs most; -1 without matter.
+    std::int32_t vertex(const Vec3& index);
     // ∑ I_0 I_s p of the beams at a point of that voxel: what they scatter along −`direction`, a ray of sight. Within
     // the voxel they fall as matter of its extinction lets them, so that the mean stays the table's: s mm on along the
     // ray it is e^{`growth` s} as much.
@@ -79,15 +78,19 @@ class ShellLight {
               const Rgb& extinction, Rgb& growth);
 
    private:
+    struct Found {
+      Vec3i at = Vec3i::Constant(std::numeric_limits<int>::min());
+      int index = -1;
+      Leaf* leaf = nullptr;
+    };
+    const Found& find_leaf(const Vec3i& leaf_at);
+    // The voxel's light is there then.
+    void need(const Found& found, int offset, const Vec3i& voxel);
+
     const ShellLight& light_;
     std::unique_ptr<ShellTextureReader> texture_;
-    int vertex_ = -1;  // found last
-    // The leaf that was read last.
-    Vec3i leaf_at_ = Vec3i::Constant(std::numeric_limits<int>::min());
-    int leaf_index_ = -1;
-    Leaf* leaf_ = nullptr;
-    std::array<VoxelFluence, 8> spare_;
-    std::size_t next_spare_ = 0;
+    int vertex_ = -1;              // found last
+    std::array<Found, 8> leaves_;  // read last, by their places' last bits
     // The last light that was weighted by a phase function.
     int phase_vertex_ = -1;
     Vec3 phase_direction_ = Vec3::Zero();
@@ -96,7 +99,9 @@ class ShellLight {
   };
 
  private:
-  VoxelFluence work_out(int leaf_index, int offset, const Vec3i& voxel, ShellTextureReader& texture, int& vertex) const;
+  // multiple: with its last lane.
+  void work_out(int leaf_index, int offset, const Vec3i& voxel, ShellTextureReader& texture, int& vertex,
+                Float4& multiple, Beams& beams) const;
   Leaf& leaf(int leaf_index) const;
   struct SurfaceLight {
     PreparedLight light;
@@ -136,7 +141,9 @@ class ShellLight {
   Vec3f between(const SurfacePlace& place, const VertexLight& own, const PartOf& part, const LookUp& look_up) const;
   // The table's direction within matter below a smooth surface.
   Vec3 refracted_direction(int direction) const;
-  std::size_t sample_voxel(const Vec3f& place, Vec3f& offset) const;
+  std::size_t sample_voxel(const Vec3f& place, float& outwards) const;
+
+  bool is_matter(std::size_t sampled) const { return texture_.matter()[sampled] > 0.999f; }
 
   const ShellVolume& shell_;
   TexturedFrames frames_;

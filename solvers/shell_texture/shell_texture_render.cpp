@@ -139,8 +139,8 @@ class ShellPicture {
     Rgb sum = Rgb::Zero(), left = Rgb::Ones();
     double t = 0;
     std::int64_t steps = 0;
-    std::int32_t vertex = -1;
-    float depth = -1;  // of the last voxel, in voxels; none yet
+    Vec3 last = Vec3::Zero();  // place that was looked at
+    float depth = -1;          // of the last voxel, in voxels; none yet
     bool in_core = false;
     while (t < end) {
       int axis = 0;
@@ -174,10 +174,11 @@ class ShellPicture {
         Rgb growth;
         const Rgb beams = reader.beams(voxel, first, sight.direction, anisotropy, true_extinction, growth);
         const Rgb faded = (growth - extinction) * length;
-        const Rgb scattered = weighed * reader.multiple(place, vertex) / (4 * pi) +
-                              beams * within(-faded, faded.min(60.0f).exp(), length);
+        const Rgb scattered =
+            weighed * reader.multiple(place) / (4 * pi) + beams * within(-faded, faded.min(60.0f).exp(), length);
         sum += left * scattering * scattered;
         left *= through;
+        last = place;
         ++steps;
         // What lies beyond shines as this does.
         if (left.maxCoeff() < std::exp(-opaque_depth)) {
@@ -193,8 +194,8 @@ class ShellPicture {
     march_steps_ += steps;
     const float rest = left.maxCoeff();
     if (in_core) {
-      if (settings_.unscattered_core && vertex >= 0 && light_.has_core())
-        sum += left * light_.core_exitance(vertex, sight.point + t * sight.direction) / pi;
+      const int vertex = settings_.unscattered_core && steps > 0 && light_.has_core() ? reader.vertex(last) : -1;
+      if (vertex >= 0) sum += left * light_.core_exitance(vertex, sight.point + t * sight.direction) / pi;
       return sum;
     }
     if (ends && t >= end && static_cast<double>(rest) * weight > faint && mirrors > 0)
