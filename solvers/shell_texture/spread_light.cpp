@@ -144,11 +144,12 @@ SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels&
       if (areas[k] > 0) kernel_areas_[b].emplace_back(k, areas[k]);
   });
   lit_.known = std::vector<std::atomic<const LitBucket*>>(count);
-  within_.lit.known = std::vector<std::atomic<const std::vector<Lanes>*>>(count);
-  bottom_.lit.known = std::vector<std::atomic<const std::vector<Lanes>*>>(count);
+  for (Reach* reach : {&within_, &bottom_}) {
+    reach->lit.known = std::vector<std::atomic<const LitReach*>>(count);
+    reach->even = std::vector<std::atomic<std::uint8_t>>(count);
+    reach->even_about = std::vector<std::atomic<std::uint8_t>>(count);
+  }
   about_.known = std::vector<std::atomic<const std::vector<int>*>>(count);
-  even_ = std::vector<std::atomic<std::uint8_t>>(count);
-  even_about_ = std::vector<std::atomic<std::uint8_t>>(count);
 }
 
 const SpreadLight::Entry& SpreadLight::entry(int vertex) const {
@@ -239,7 +240,7 @@ std::vector<Lanes>& kept_weights() {
 }  // namespace
 
 BandKernels::BandKernels(const IrradianceKernels& kernels, int first_band, int end_band)
-    : bands_(end_band - first_band), rings_(kernels.rings), per_ring_(1 / kernels.ring) {
+    : bands_(end_band - first_band), rings_(kernels.rings), per_ring_(static_cast<float>(1 / kernels.ring)) {
   values_.assign(static_cast<std::size_t>(kernels.count()) * (rings_ + 1) * wide(), Lanes{});
   for (int kernel = 0; kernel < kernels.count(); ++kernel)
     for (int ring = 0; ring < rings_; ++ring)
@@ -251,13 +252,26 @@ BandKernels::BandKernels(const IrradianceKernels& kernels, int first_band, int e
       }
 }
 
-void BandKernels::add(int kernel, double distance, float area, Lanes* sums) const {
-  const double place = std::max(0.0, distance * per_ring_ - 0.5);
-  if (place >= rings_) return;
-  const int ring = static_cast<int>(place), count = wide();
-  const float second = area * static_cast<float>(place - ring), first = area - second;
+void BandKernels::at(int kernel, float distance, float area, Lanes* values) const {
+  const float place = std::max(0.0f, distance * per_ring_ - 0.5f);
+  const int ring = std::min(static_cast<int>(std::min(place, 1e9f)), rings_), count = wide();
+  const float second = area * (place - static_cast<float>(ring)), first = area - second;
   const Lanes* row = values_.data() + (static_cast<std::size_t>(kernel) * (rings_ + 1) + ring) * count;
-  for (int w = 0; w < count; ++w) sums[w] += first * row[w] + second * row[count + w];
+  // Beyond the last ring there is nothing.
+  if (ring == rings_) return void(std::fill_n(values, count, Lanes{}));
+  for (int w = 0; w < count; ++w) values[w] = first * row[w] + second * row[count + w];
+}
+
+BandKernels BandKernels::sum(const std::vector<std::pair<int, float>>& kernel_areas) const {
+  BandKernels result;
+  result.bands_ = bands_;
+  result.rings_ = rings_;
+  result.per_ring_ = per_ring_;
+  const std::size_t size = static_cast<std::size_t>(rings_ + 1) * wide();
+  result.values_.assign(size, Lanes{});
+  for (const auto& [kernel, area] : kernel_areas)
+    for (std::size_t k = 0; k < size; ++k) result.values_[k] += area * values_[kernel * size + k];
+  return result;
 }
 
 const SpreadLight::LitBucket& SpreadLight::lit(int bucket) const {
@@ -280,11 +294,11 @@ const SpreadLight::LitBucket& SpreadLight::lit(int bucket) const {
   });
 }
 
-const std::vector<BandKernels::Lanes>& SpreadLight::responses(int bucket, const Reach& reach) const {
+const SpreadLight::LitReach& SpreadLight::lit(int bucket, const Reach& reach) const {
   return reach.lit.get(bucket, [&] {
     const int wide = reach.point.wide();
     const std::vector<int>& members = buckets_[bucket].members;
-    std::vector<Lanes> made(wide * (members.size() + 1), Lanes{});
+    LitReach made{std::vector<Lanes>(wide * (members.size() + 1), Lanes{}), reach.whole.sum(kernel_areas_[bucket])};
     const auto respond = [&](const std::vector<DirectionWeight>& light, Lanes* to) {
       for (const DirectionWeight& one : light) {
         const Lanes all = four_times(one);
@@ -292,8 +306,9 @@ const std::vector<BandKernels::Lanes>& SpreadLight::responses(int bucket, const 
         for (int w = 0; w < wide; ++w) to[w] += row[w] * all;
       }
     };
-    respond(lit(bucket).mean.light, made.data());
-    for (std::size_t k = 0; k < members.size(); ++k) respond(entry(members[k]).light, made.data() + wide * (k + 1));
+    respond(lit(bucket).mean.light, made.responses.data());
+    for (std::size_t k = 0; k < members.size(); ++k)
+      respond(entry(members[k]).light, made.responses.data() + wide * (k + 1));
     return made;
   });
 }
@@ -320,12 +335,12 @@ const std::vector<int>& SpreadLight::about(int index) const {
   });
 }
 
-bool SpreadLight::is_even(int index) const {
-  if (const std::uint8_t known = even_[index].load(std::memory_order_relaxed)) return known == 2;
+bool SpreadLight::is_even(int index, const Reach& reach) const {
+  if (const std::uint8_t known = reach.even[index].load(std::memory_order_relaxed)) return known == 2;
   const VertexBuckets::Bucket& bucket = buckets_[index];
   const Vec3f own = lit(index).mean.irradiance;
   Vec3f brightest = own;
-  const int inner = within_.whole.wide(), wide = inner + bottom_.whole.wide();
+  const int wide = reach.whole.wide();
   std::vector<Lanes> sums(wide, Lanes{}), lights(wide, Lanes{}), weights(wide);
   for (const int other : about(index)) {
     const VertexBuckets::Bucket& about = buckets_[other];
@@ -334,11 +349,7 @@ bool SpreadLight::is_even(int index) const {
     if (distance - about.radius > radius_) continue;
     const Vec3f light = lit(other).mean.irradiance;
     brightest = brightest.cwiseMax(light);
-    std::fill(weights.begin(), weights.end(), Lanes{});
-    for (const auto& [kernel, area] : kernel_areas_[other]) {
-      within_.whole.add(kernel, distance, area, weights.data());
-      bottom_.whole.add(kernel, distance, area, weights.data() + inner);
-    }
+    lit(other, reach).whole.at(0, static_cast<float>(distance), 1, weights.data());
     const Lanes all = four_times(light);
     for (int w = 0; w < wide; ++w) {
       sums[w] += weights[w];
@@ -355,17 +366,17 @@ bool SpreadLight::is_even(int index) const {
   }
   for (std::size_t k = 0; k < bucket.members.size() && even; ++k)
     even = !differ(entry(bucket.members[k]).irradiance, sudden);
-  even_[index].store(even ? 2 : 1, std::memory_order_relaxed);
+  reach.even[index].store(even ? 2 : 1, std::memory_order_relaxed);
   return even;
 }
 
-bool SpreadLight::is_even_about(int index) const {
-  if (const std::uint8_t known = even_about_[index].load(std::memory_order_relaxed)) return known == 2;
+bool SpreadLight::is_even_about(int index, const Reach& reach) const {
+  if (const std::uint8_t known = reach.even_about[index].load(std::memory_order_relaxed)) return known == 2;
   bool even = true;
   buckets_.visit_about(buckets_[index].middle, 1, [&](int other) {
-    even = even && (!(buckets_[other].facing.dot(buckets_[index].facing) > 0) || is_even(other));
+    even = even && (!(buckets_[other].facing.dot(buckets_[index].facing) > 0) || is_even(other, reach));
   });
-  even_about_[index].store(even ? 2 : 1, std::memory_order_relaxed);
+  reach.even_about[index].store(even ? 2 : 1, std::memory_order_relaxed);
   return even;
 }
 
@@ -391,11 +402,11 @@ SpreadLight::Bands SpreadLight::worked_out(int vertex, const Reach& reach) const
   const int bands = reach.point.bands(), wide = reach.point.wide(), home = buckets_.of_vertex(vertex);
   const std::vector<int>& members = buckets_[home].members;
   const auto place_at_home = std::lower_bound(members.begin(), members.end(), vertex) - members.begin();
-  const Lanes* const own_response = responses(home, reach).data() + wide * (1 + place_at_home);
+  const Lanes* const own_response = lit(home, reach).responses.data() + wide * (1 + place_at_home);
   Bands result;
   result.own.reserve(static_cast<std::size_t>(bands));
   for (int k = 0; k < bands; ++k) result.own.push_back(colour(own_response[k / 4], k % 4));
-  if (is_even_about(home)) return result;
+  if (is_even_about(home, reach)) return result;
   const TexturedFrames& frames = incident_.frames();
   const Vec3 point = frames.mesh.vertex(vertex), normal = frames.normals.row(vertex).transpose();
   const Vec3f place = point.cast<float>();
@@ -404,7 +415,7 @@ SpreadLight::Bands SpreadLight::worked_out(int vertex, const Reach& reach) const
   struct Part {
     int bucket;
     const LitBucket* lit;
-    const Lanes* response;
+    const LitReach* reach;
     double distance;  // < 0: by members
   };
   thread_local std::vector<Part> parts;
@@ -424,7 +435,7 @@ SpreadLight::Bands SpreadLight::worked_out(int vertex, const Reach& reach) const
     if (distance - bucket.radius > radius_) continue;
     const LitBucket& light = lit(index);
     const bool is_far = distance > apart * edge_ + bucket.radius;
-    parts.push_back({index, &light, responses(index, reach).data(), is_far ? distance : -1});
+    parts.push_back({index, &light, &lit(index, reach), is_far ? distance : -1});
     if (is_far)
       compare(to_lanes(light.mean.irradiance.array()));
     else
@@ -439,16 +450,13 @@ SpreadLight::Bands SpreadLight::worked_out(int vertex, const Reach& reach) const
   const auto visit = [&](const auto& take) {
     for (const Part& part : parts) {
       if (part.distance >= 0) {
-        std::fill_n(weights.begin(), wide, Lanes{});
-        for (const auto& [kernel, area] : kernel_areas_[part.bucket])
-          reach.whole.add(kernel, part.distance, area, weights.data());
+        part.reach->whole.at(0, static_cast<float>(part.distance), 1, weights.data());
         take(part, -1);
         continue;
       }
       for (std::size_t n = 0; n < part.lit->sources.size(); ++n) {
         const Source& source = part.lit->sources[n];
-        std::fill_n(weights.begin(), wide, Lanes{});
-        reach.point.add(source.kernel, static_cast<double>((source.place - place).norm()), source.area, weights.data());
+        reach.point.at(source.kernel, (source.place - place).norm(), source.area, weights.data());
         take(part, static_cast<int>(n));
       }
     }
@@ -458,7 +466,7 @@ SpreadLight::Bands SpreadLight::worked_out(int vertex, const Reach& reach) const
   Lanes* const greatest = light + wide;
   std::copy_n(own_response, wide, greatest);
   visit([&](const Part& part, int member) {
-    const Lanes* const response = part.response + wide * (member + 1);
+    const Lanes* const response = part.reach->responses.data() + wide * (member + 1);
     for (int w = 0; w < wide; ++w) {
       sum[w] += weights[w];
       light[w] += weights[w] * response[w];

@@ -26,12 +26,14 @@ class BandKernels {
   BandKernels(const IrradianceKernels& kernels, int first_band, int end_band);
   int bands() const { return bands_; }
   int wide() const { return (bands_ + 3) / 4; }  // registers
-  // Adds `area` times each band's value at that distance, mm; as IrradianceKernels::value.
-  void add(int kernel, double distance, float area, Lanes* sums) const;
+  // `area` times each band's value at that distance, mm; as IrradianceKernels::value.
+  void at(int kernel, float distance, float area, Lanes* values) const;
+  // One kernel: the sum of these, by their areas.
+  BandKernels sum(const std::vector<std::pair<int, float>>& kernel_areas) const;
 
  private:
   int bands_ = 0, rings_ = 0;
-  double per_ring_ = 0;
+  float per_ring_ = 0;
   std::vector<Lanes> values_;  // at (kernel · (rings + 1) + ring) · wide; the last ring's are 0
 };
 
@@ -99,17 +101,22 @@ class SpreadLight {
     template <class Make>
     const T& get(int index, const Make& make) const;
   };
+  struct LitReach {
+    std::vector<BandKernels::Lanes> responses;  // to a bucket's mean, then to its members
+    BandKernels whole;                          // of light all over it, all its area at once
+  };
   // By distance; of light that enters at a vertex, and all over a bucket.
   struct Reach {
     BandKernels point, whole;
-    std::vector<BandKernels::Lanes> response;        // at direction · wide
-    Lazy<std::vector<BandKernels::Lanes>> lit = {};  // of each bucket: responses to its mean, then to its members
+    std::vector<BandKernels::Lanes> response;                                   // at direction · wide
+    Lazy<LitReach> lit = {};                                                    // of buckets
+    mutable std::vector<std::atomic<std::uint8_t>> even = {}, even_about = {};  // 0 unknown, 1 uneven, 2 even
   };
-  const std::vector<BandKernels::Lanes>& responses(int bucket, const Reach& reach) const;
+  const LitReach& lit(int bucket, const Reach& reach) const;
   Bands worked_out(int vertex, const Reach& reach) const;
   // Whether light is even all about a bucket, as told by its own and its neighbours' means.
-  bool is_even_about(int bucket) const;
-  bool is_even(int bucket) const;
+  bool is_even_about(int bucket, const Reach& reach) const;
+  bool is_even(int bucket, const Reach& reach) const;
   int kernel_of(int vertex) const;
   const std::vector<int>& about(int bucket) const;  // the buckets of which light may reach its matter
 
@@ -125,7 +132,6 @@ class SpreadLight {
   Lazy<Entry> entries_;
   Lazy<LitBucket> lit_;
   Lazy<std::vector<int>> about_;
-  mutable std::vector<std::atomic<std::uint8_t>> even_, even_about_;  // of buckets: 0 unknown, 1 uneven, 2 even
   mutable std::atomic<std::int64_t> spread_vertices_{0};
 };
 
