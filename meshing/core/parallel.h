@@ -3,9 +3,11 @@
 #pragma once
 #include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
+#include <oneapi/tbb/parallel_invoke.h>
 
 #include <algorithm>
 #include <cstddef>
+#include <exception>
 #include <vector>
 
 namespace shellgrid {
@@ -27,6 +29,25 @@ void parallel_chunks(std::size_t count, std::size_t chunk, const Body& body) {
   const std::size_t chunks = (count + chunk - 1) / chunk;
   oneapi::tbb::parallel_for(std::size_t{0}, chunks,
                             [&](std::size_t c) { body(c * chunk, std::min(count, (c + 1) * chunk)); });
+}
+
+// Calls all of them, at the same time where there are threads. Throws: what the first one of them that throws throws.
+template <class... Task>
+void together(const Task&... tasks) {
+  std::exception_ptr thrown[sizeof...(Task)];
+  std::size_t count = 0;
+  const auto held = [](const auto& task, std::exception_ptr& to) {
+    return [&] {
+      try {
+        task();
+      } catch (...) {
+        to = std::current_exception();
+      }
+    };
+  };
+  oneapi::tbb::parallel_invoke(held(tasks, thrown[count++])...);
+  for (const std::exception_ptr& one : thrown)
+    if (one) std::rethrow_exception(one);
 }
 
 // Sum over i of term(i), added in an order that depends on `count` alone: the same bits at any

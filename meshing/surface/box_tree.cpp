@@ -11,22 +11,27 @@ namespace {
 // How a range of leaves is halved, here and when nodes are gathered.
 int left_leaves(int leaves) { return (leaves + 1) / 2; }
 
+struct Item {
+  Vec3 centre;
+  std::int32_t index;
+};
+
 // Sorts the items of [first, first + count) into leaves of eight by halving at medians.
-void partition(std::int32_t* first, std::size_t count, const std::vector<Vec3>& centres) {
+void partition(Item* first, std::size_t count) {
   const int leaves = static_cast<int>((count + BoxTree::width - 1) / BoxTree::width);
   if (leaves <= 1) return;
   Box bounds;
-  for (std::size_t i = 0; i < count; ++i) bounds.add(centres[first[i]]);
+  for (std::size_t i = 0; i < count; ++i) bounds.add(first[i].centre);
   int axis = 0;
   (bounds.upper - bounds.lower).maxCoeff(&axis);
   const std::size_t middle = static_cast<std::size_t>(left_leaves(leaves)) * BoxTree::width;
   // Ties go by index, so that the halves do not depend on the order of arrival.
-  std::nth_element(first, first + middle, first + count, [&](std::int32_t a, std::int32_t b) {
-    const double u = centres[a][axis], v = centres[b][axis];
-    return u < v || (u == v && a < b);
+  std::nth_element(first, first + middle, first + count, [&](const Item& a, const Item& b) {
+    const double u = a.centre[axis], v = b.centre[axis];
+    return u < v || (u == v && a.index < b.index);
   });
-  const auto left = [&] { partition(first, middle, centres); };
-  const auto right = [&] { partition(first + middle, count - middle, centres); };
+  const auto left = [&] { partition(first, middle); };
+  const auto right = [&] { partition(first + middle, count - middle); };
   if (count > 4096)
     oneapi::tbb::parallel_invoke(left, right);
   else
@@ -38,11 +43,12 @@ void partition(std::int32_t* first, std::size_t count, const std::vector<Vec3>& 
 BoxTree::BoxTree(const std::vector<Box>& items) {
   if (items.empty()) return;
   const std::size_t leaves = (items.size() + width - 1) / width;
-  std::vector<Vec3> centres(items.size());
-  for (std::size_t i = 0; i < items.size(); ++i) centres[i] = 0.5 * (items[i].lower + items[i].upper);
+  std::vector<Item> centres(items.size());
+  for (std::size_t i = 0; i < items.size(); ++i)
+    centres[i] = {0.5 * (items[i].lower + items[i].upper), static_cast<std::int32_t>(i)};
+  partition(centres.data(), centres.size());
   order_.resize(items.size());
-  for (std::size_t i = 0; i < items.size(); ++i) order_[i] = static_cast<std::int32_t>(i);
-  partition(order_.data(), items.size(), centres);
+  for (std::size_t i = 0; i < items.size(); ++i) order_[i] = centres[i].index;
   order_.resize(leaves * width, -1);
   for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
     // Within a leaf by index: ties are then found lowest first.

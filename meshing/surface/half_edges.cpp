@@ -3,6 +3,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <tuple>
 
@@ -50,16 +51,25 @@ HalfEdges build_half_edges(const TriangleMesh& mesh) {
 }
 
 VertexMatrix vertex_normals(const TriangleMesh& mesh) {
-  VertexMatrix normals = VertexMatrix::Zero(mesh.vertex_count(), 3);
-  for (int f = 0; f < mesh.face_count(); ++f) {
+  // Angles by threads; summed up face by face.
+  const auto cross = [&](int f) -> Vec3 {
+    return (mesh.corner(f, 1) - mesh.corner(f, 0)).cross(mesh.corner(f, 2) - mesh.corner(f, 0));
+  };
+  std::vector<std::array<double, 3>> weights(static_cast<std::size_t>(mesh.face_count()));
+  parallel_for(weights.size(), [&](std::size_t face) {
+    const int f = static_cast<int>(face);
     const Vec3 corners[3] = {mesh.corner(f, 0), mesh.corner(f, 1), mesh.corner(f, 2)};
-    const Vec3 normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-    const double length = normal.norm();
-    if (!(length > 0)) continue;
+    const double length = cross(f).norm();
     for (int k = 0; k < 3; ++k) {
       const Vec3 a = corners[(k + 1) % 3] - corners[k], b = corners[(k + 2) % 3] - corners[k];
-      normals.row(mesh.faces(f, k)) += std::atan2(length, a.dot(b)) / length * normal.transpose();
+      weights[face][k] = length > 0 ? std::atan2(length, a.dot(b)) / length : 0;
     }
+  });
+  VertexMatrix normals = VertexMatrix::Zero(mesh.vertex_count(), 3);
+  for (int f = 0; f < mesh.face_count(); ++f) {
+    const Vec3 normal = cross(f);
+    if (!(normal.norm() > 0)) continue;
+    for (int k = 0; k < 3; ++k) normals.row(mesh.faces(f, k)) += weights[f][k] * normal.transpose();
   }
   parallel_for(mesh.vertex_count(), [&](std::size_t v) {
     const double length = normals.row(v).norm();

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 #include "meshing/formats/image_file.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
@@ -72,14 +73,15 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
     throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
   std::map<std::string, std::string> shell_notes;
   const ShellVolume shell = read_shell_volume(files.shell, ShellParts::matter, &shell_notes);
-  require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress());
   if (std::abs(shell.ior - scene.object->ior) > 1e-6)
     run.progress().warn(
         fmt::format("{} is of refractive index {:g}, and so is its sample's light; the scene's {:g} is "
                     "that of the surface alone",
                     files.shell, shell.ior, scene.object->ior));
   std::string sample;
-  const auto texture = open_shell_texture(files.texture, ShellTextureParts::all, &sample);
+  std::unique_ptr<ShellTextureLookup> texture;
+  together([&] { require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress()); },
+           [&] { texture = open_shell_texture(files.texture, ShellTextureParts::all, &sample); });
   require_same_samples(sample, files.texture, note_of(read_notes(surface_path), samples_note), surface_path);
   require_same_samples(sample, files.texture, note_of(shell_notes, samples_note), files.shell);
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
@@ -99,17 +101,20 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
                                    surface_path, surface.mesh.vertex_count()));
   }
   run.start_timer("render");
-  const TransportObject object = TransportObject::of_surfaces(surface.mesh, shell, scene.object->ior);
   const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
+  std::optional<TransportObject> object;
+  std::optional<ShellCurvature> curvature;
+  together([&] { object.emplace(TransportObject::of_surfaces(surface.mesh, shell, scene.object->ior)); },
+           [&] {
+             if (!files.flat) curvature.emplace(frames, shell, scene.object->ior);
+           });
   ShellTextureSettings shown{settings};
   shown.outside_light = files.light != "core";
   shown.core_light = files.light != "outside";
   shown.correction = irradiance_correction(files.correction);
   ShellTextureStatistics s;
-  std::optional<ShellCurvature> curvature;
-  if (!files.flat) curvature.emplace(frames, shell, scene.object->ior);
   RenderedImage picture = render_shell_texture(
-      {object, shell, frames, *texture, surface.coordinate, core, curvature ? &*curvature : nullptr}, scene.lights,
+      {*object, shell, frames, *texture, surface.coordinate, core, curvature ? &*curvature : nullptr}, scene.lights,
       *scene.camera, shown, &s, run.progress());
   run.results()["marches"] = s.marches;
   run.results()["march_steps"] = s.march_steps;
@@ -206,10 +211,13 @@ int main(int argc, char** argv) {
     run.start_timer("write");
     const double stops = exposure_stops(exposure, scene, picture.image);
     const std::string png = std::filesystem::path(run.output()).replace_extension(".png").string();
-    write_png(png, picture.image.width, picture.image.height,
-              tone_map(picture.image, stops, tone == "filmic" ? ToneCurve::filmic : ToneCurve::linear));
+    together(
+        [&] {
+          write_png(png, picture.image.width, picture.image.height,
+                    tone_map(picture.image, stops, tone == "filmic" ? ToneCurve::filmic : ToneCurve::linear));
+        },
+        [&] { write_exr(run.output(), picture.image); });
     run.note_output(png);
-    write_exr(run.output(), picture.image);
 
     const RenderStatistics& s = picture.statistics;
     run.results()["exposure_stops"] = stops;
