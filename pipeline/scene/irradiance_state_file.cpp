@@ -22,13 +22,15 @@ std::vector<std::uint64_t> paired(const std::vector<float>& values) {
 
 void write_irradiance_state(const std::string& path, const std::string& fingerprint, const IrradianceSums& sums) {
   NumberArchive archive{kind, fingerprint, {}, {}};
-  archive.counts = {{"batches", {sums.upper_batches, sums.back_batches}},
+  archive.counts = {{"batches", {sums.upper_batches, sums.back_batches, sums.next_judged}},
                     {"upper", paired(sums.upper)},
                     {"upper_square", paired(sums.upper_square)},
                     {"back", paired(sums.back)},
                     {"back_square", paired(sums.back_square)},
+                    {"upper_half", paired(sums.upper_half)},
+                    {"back_half", paired(sums.back_half)},
                     {"single", paired(sums.single)}};
-  archive.numbers = {{"absorbed", sums.absorbed}};
+  archive.numbers = {{"absorbed", sums.absorbed}, {"layer_square", sums.layer_square}};
   write_number_archive(path, archive);
 }
 
@@ -48,15 +50,19 @@ IrradianceSums read_irradiance_state(const std::string& path, const std::string&
     const std::vector<std::uint64_t>& pairs = list(archive.counts, name, (values.size() + 1) / 2);
     if (!values.empty()) std::memcpy(values.data(), pairs.data(), values.size() * sizeof(float));
   };
-  const std::vector<std::uint64_t>& batches = list(archive.counts, "batches", 2);
+  const std::vector<std::uint64_t>& batches = list(archive.counts, "batches", 3);
   sums.upper_batches = batches[0];
   sums.back_batches = batches[1];
+  sums.next_judged = batches[2];
   take("upper", sums.upper);
   take("upper_square", sums.upper_square);
   take("back", sums.back);
   take("back_square", sums.back_square);
+  take("upper_half", sums.upper_half);
+  take("back_half", sums.back_half);
   take("single", sums.single);
   sums.absorbed = list(archive.numbers, "absorbed", expected.absorbed.size());
+  sums.layer_square = list(archive.numbers, "layer_square", expected.layer_square.size());
   return sums;
 }
 

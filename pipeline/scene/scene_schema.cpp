@@ -198,7 +198,7 @@ std::vector<SceneKey> make_schema() {
        0.5,
        false,
        {},
-       "shell-texture-function: relative standard error of half of the sample's light"},
+       "shell-texture-function: relative error of half of the sample's light"},
       word(
           "method.core", "dipole", {"dipole", "paper", "polygrid", "none"},
           "shell-texture-function: the core's light, by a dipole that gets back what it gives and follows light to and "

@@ -117,7 +117,7 @@ nlohmann::json in_figures(const IrradianceReport& report, const ShellTexture& te
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::string sample_path, state_path, estimator = "shared-walks", codec = "none";
+  std::string sample_path, state_path, estimator = "shared-walks", smoothing = "wavelets", codec = "none";
   CodecGoal goal;
   int kernels = 8;
   IrradianceOptions options;
@@ -132,14 +132,19 @@ int main(int argc, char** argv) {
   program.option("--paths", options.paths, "a texel", "light paths, in all or of each direction, at least", 1e-3, 1e6);
   program.option("--most-paths", options.most_paths, "a texel", "where --target-error ends at the latest", 1e-3, 1e7);
   program.option("--target-error", options.target_error, "",
-                 "go on until half of the voxels and directions have a relative standard error of I_m below it; 0: no "
-                 "such end, as where only --paths is given",
+                 "go on until half of the voxels and directions have a relative error of I_m below it, one standard "
+                 "deviation; 0: no such end, as where only --paths is given",
                  0, 1);
   program.option("--estimator", estimator,
                  "of I_m; shared-walks: walks that serve all directions; track-length: paths of each direction, ways "
                  "through voxels; sphere: collisions within a voxel of each centre, as the paper does, dark near the "
                  "surface, and so I_s, which is marched otherwise",
                  {"shared-walks", "track-length", "sphere"});
+  program.option("--smoothing", smoothing,
+                 "of what shared walks tell; wavelets: details in place and direction shrink as far as two halves of "
+                 "the walks disagree on them, errors count what that takes away, and --target-error holds for three "
+                 "times the errors of layers' means too; none: as the walks tell",
+                 {"wavelets", "none"});
   program.option("--rings", options.directions.rings, "", "rings of directions from zenith to horizon", 1, 64);
   program.option("--turns", options.directions.turns, "", "directions of each ring", 1, 256);
   program.option("--march-rays", options.march_rays, "", "rays along each side of a texel, at most, for I_s", 1, 64);
@@ -160,7 +165,7 @@ int main(int argc, char** argv) {
   program.option("--ratio", goal.ratio, "", "compressed so many times instead, to single precision; 0: by --psnr", 0,
                  1e4);
   program.example("sg-irradiance sample.vdb -o stf.stf --ratio 48", "compressed");
-  program.example("sg-irradiance sample.vdb -o stf.vdb", "half of the values within 2 % standard error");
+  program.example("sg-irradiance sample.vdb -o stf.vdb", "half of the values within 2 %");
   program.example("sg-irradiance sample.vdb -o stf.vdb --target-error 0.01 --state stf.state",
                   "to be stopped with Ctrl-C, and gone on with by the same command");
   return program.run(argc, argv, [&](StageRun& run) {
@@ -171,6 +176,7 @@ int main(int argc, char** argv) {
       throw UsageError(compressed ? "--codec none writes a .vdb" : "--codec writes an .stf");
     if (program.given("--paths") && program.given("--most-paths") && options.most_paths < options.paths)
       throw UsageError(fmt::format("--most-paths {:g} is below --paths {:g}", options.most_paths, options.paths));
+    program.refuse_unless(estimator == "shared-walks", "--estimator shared-walks", {"--smoothing"});
     run.start_timer("read");
     const MaterialSample sample = restore_sample(read_vdb(sample_path));
     if (program.given("--paths") && !program.given("--target-error")) options.target_error = 0;
@@ -179,9 +185,10 @@ int main(int argc, char** argv) {
     options.estimator = estimator == "sphere"         ? IrradianceEstimator::sphere
                         : estimator == "track-length" ? IrradianceEstimator::track_length
                                                       : IrradianceEstimator::shared_walks;
+    options.smooth = smoothing == "wavelets" && options.estimator == IrradianceEstimator::shared_walks;
     options.interrupted = run.hold_interrupts();
     const std::string fingerprint =
-        fmt::format("irradiance 1 {} {} {} {} {} {} {} {} {}", hash_file(sample_path), estimator,
+        fmt::format("irradiance 2 {} {} {} {} {} {} {} {} {} {}", hash_file(sample_path), estimator, options.smooth,
                     options.directions.rings, options.directions.turns, options.march_rays, options.march_error,
                     options.paths, run.seed(), SHELLGRID_VERSION);
     run.start_timer("trace");
@@ -203,7 +210,7 @@ int main(int argc, char** argv) {
     run.results().update(in_figures(report, texture));
     run.results()["kernels"] = texture.kernels.count();
     run.results()["kernel_radius_mm"] = texture.kernels.empty() ? 0 : texture.kernels.radius(0.97);
-    run.print(fmt::format("{}: {:.0f} paths, median standard error {:.2g} %, from below {:.2g} %", run.output(),
-                          report.paths, 100 * report.median_error, 100 * report.back_error));
+    run.print(fmt::format("{}: {:.0f} paths, median error {:.2g} %, from below {:.2g} %", run.output(), report.paths,
+                          100 * report.median_error, 100 * report.back_error));
   });
 }

@@ -21,9 +21,11 @@ enum class IrradianceEstimator {
 struct IrradianceOptions {
   IrradianceEstimator estimator = IrradianceEstimator::shared_walks;
   LightDirections directions;
-  double paths = 16;          // a texel, at least: of each direction, or in all where they are shared
-  double most_paths = 1e5;    // a texel, at most
-  double target_error = 0;    // median relative standard error of I_m over voxels and directions; 0: none
+  double paths = 16;        // a texel, at least: of each direction, or in all where they are shared
+  double most_paths = 1e5;  // a texel, at most
+  // Median relative error of I_m over voxels and directions; 0: none. Smoothed, also three times that of layers' sums.
+  double target_error = 0;
+  bool smooth = true;         // of shared walks: shrink what their halves do not agree on [irradiance_smoothing.h]
   int march_rays = 8;         // along x and y of a texel, at most, for I_s
   double march_error = 0.01;  // rays double until I_s changes by less
   std::uint64_t seed = 0;
@@ -38,7 +40,7 @@ struct DirectionBalance {
 
 struct IrradianceReport {
   double paths = 0, back_paths = 0;       // in all, or of each direction; from below
-  double median_error = -1;               // relative standard error of I_m; −1: unknown
+  double median_error = -1;               // relative error of I_m; −1: unknown
   double back_error = -1;                 // of I_m(ω_b)
   int march_rays = 0;                     // rays a texel, of the direction with most
   std::vector<DirectionBalance> balance;  // of each direction, then of the light from below
@@ -49,7 +51,8 @@ struct IrradianceReport {
 IrradianceSums empty_sums(const BaseVolume& volume, const IrradianceOptions& options);
 
 // Goes on from `sums`: the result is a function of volume, options and the number of batches alone, at any thread
-// count, however often it was interrupted. The error is judged after numbers of batches that grow by an eighth.
+// count, however often it was interrupted. The error is judged where it may have come to its target, after numbers of
+// batches that grow by an eighth.
 // Throws: InputError; also where it was interrupted before the first batches had ended.
 ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions& options, IrradianceSums& sums,
                               IrradianceReport* report = nullptr, Progress& progress = no_progress());

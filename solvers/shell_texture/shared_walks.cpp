@@ -157,7 +157,8 @@ class SharedWalks : public IrradianceBatches {
       walk_.start_above(path, directions_.direction(l), x, y);
       if (begin(path, rows_.data() + k * 3 * count_)) follow(path, static_cast<std::uint32_t>(k), lists, levels_down_);
     });
-    const std::size_t width = 3 * static_cast<std::size_t>(count_);
+    const std::size_t width = 3 * static_cast<std::size_t>(count_), layers = sums.layer_square.size();
+    std::vector<double> by_layer(ranges * layers, 0.0);
     sum_ranges([&](std::size_t first, std::size_t end, std::size_t range) {
       std::vector<float> sum((end - first) * width, 0.0f);
       for (const DepositLists& lists : lists_)
@@ -173,7 +174,14 @@ class SharedWalks : public IrradianceBatches {
         const float* from = sum.data() + (r - first) * width;
         float* to = sums.upper.data() + r * width;
         for (std::size_t k = 0; k < width; ++k) to[k] += from[k];
+        if (batch % 2 == 1 && !sums.upper_half.empty()) {
+          float* half = sums.upper_half.data() + r * width;
+          for (std::size_t k = 0; k < width; ++k) half[k] += from[k];
+        }
         if (r >= field_.voxels) continue;
+        if (layers > 0)
+          by_layer[range * layers + r / field_.texels] +=
+              static_cast<double>(Eigen::Map<const Eigen::ArrayXf>(from, static_cast<Eigen::Index>(width)).sum());
         float* square = sums.upper_square.data() + r * count_;
         for (int l = 0; l < count_; ++l) {
           const float mean = (from[l] + from[count_ + l] + from[2 * count_ + l]) / 3;
@@ -181,6 +189,11 @@ class SharedWalks : public IrradianceBatches {
         }
       }
     });
+    for (std::size_t z = 0; z < layers; ++z) {
+      double sum = 0;
+      for (std::size_t range = 0; range < ranges; ++range) sum += by_layer[range * layers + z];
+      sums.layer_square[z] += sum * sum;
+    }
   }
 
   void add_back(IrradianceSums& sums) override {
@@ -199,6 +212,8 @@ class SharedWalks : public IrradianceBatches {
           sum[d.receiver - first] += area * Vec3f(d.value[0], d.value[1], d.value[2]);
       for (std::size_t r = first; r < end; ++r) {
         for (int c = 0; c < 3; ++c) sums.back[3 * r + c] += sum[r - first][c];
+        if (batch % 2 == 1 && !sums.back_half.empty())
+          for (int c = 0; c < 3; ++c) sums.back_half[3 * r + c] += sum[r - first][c];
         if (r < field_.voxels) sums.back_square[r] += sum[r - first].mean() * sum[r - first].mean();
       }
     });

@@ -37,7 +37,7 @@ struct ShellTexture {
   LightDirections directions;
   std::vector<Vec3f> single;    // voxels × directions: at direction · voxels + voxel
   std::vector<Vec3f> multiple;  // voxels × (directions + 1)
-  std::vector<float> error;     // as `multiple`: relative standard error of its mean over the channels; −1 unknown
+  std::vector<float> error;     // as `multiple`: relative error of the channels' mean, 1 σ; −1 unknown
   std::vector<float> matter;    // per voxel: share of it that is matter
   // Texels × (directions + 1): irradiance that passes down through the bottom, for unit irradiance across the
   // direction; from below for unit irradiance on the bottom, what comes back. At direction · texels + texel.

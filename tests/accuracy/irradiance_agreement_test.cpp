@@ -26,6 +26,7 @@ struct Agreement {
 Agreement compare(const BaseVolume& volume, double paths, double shared_paths) {
   IrradianceOptions options;
   options.directions = {3, 6};
+  options.smooth = false;
   options.march_rays = 16;
   options.march_error = 0.002;
   // Many batches, for standard errors that are known well.
