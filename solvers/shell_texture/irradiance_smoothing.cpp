@@ -11,7 +11,8 @@ namespace shellgrid {
 namespace {
 
 constexpr int level_steps[] = {1, 1, 2};   // voxels, along the texture; through the layers always 1
-constexpr int gain_reach = 4;              // voxels to each side over which halves are compared
+constexpr int gain_reach = 3;              // voxels to each side over which halves are compared
+constexpr int pilot_reach = 1;             // over which what is kept of both tells what to keep
 constexpr int error_reach = 2;             // over which errors are averaged
 constexpr float whole_voxel = 0.75f;       // of a voxel's share of matter
 constexpr double magnitude_floor = 1e-12;  // of the mean over all
@@ -138,6 +139,11 @@ class Smoothing {
         between_(share * (1 - share)),
         given_{&first, &second} {
     for (const float w : grid.weight) has_cut_ = has_cut_ || (w > 0 && w < whole_voxel);
+    std::vector<float> about = grid.weight;
+    nearby_ = grid.weight;
+    sum_about(nearby_, pilot_reach);
+    sum_about(about, gain_reach);
+    for (std::size_t v = 0; v < about.size(); ++v) nearby_[v] = about[v] > 0 ? nearby_[v] / about[v] : 0;
     for (const int step : level_steps) {
       std::vector<float> all = grid.weight, other(lattice_.voxels);
       lattice_.blur(all, other, step);
@@ -280,7 +286,7 @@ class Smoothing {
       std::vector<float> rest, smoother, kept;
     };
     std::vector<Field> fields(2 * count);  // half by half
-    std::vector<float> signal(n), noise(n), other(n);
+    std::vector<float> signal(n), noise(n), pilot(n), other(n);
     for (int k = 0; k < 2 * count; ++k) {
       const float* from = parts_[k / count].data() + (first + k % count) * n;
       fields[k].rest.assign(from, from + n);
@@ -307,6 +313,20 @@ class Smoothing {
       sum_about(noise, gain_reach);
       for (std::size_t v = 0; v < n; ++v)
         signal[v] = signal[v] > 0 ? signal[v] / (signal[v] + std::max(noise[v], 0.0f)) : 0.0f;
+      // What is kept so far tells of a smaller place how strong a detail is there.
+      std::fill(pilot.begin(), pilot.end(), 0.0f);
+      for (int k = 0; k < count; ++k)
+        for (std::size_t v = 0; v < n; ++v) {
+          const Field &a = fields[k], &b = fields[count + k];
+          const float kept =
+              signal[v] * (share_ * (a.rest[v] - a.smoother[v]) + (1 - share_) * (b.rest[v] - b.smoother[v]));
+          pilot[v] += grid_.weight[v] * kept * kept;
+        }
+      sum_about(pilot, pilot_reach);
+      for (std::size_t v = 0; v < n; ++v) {
+        const float noise_nearby = std::max(noise[v], 0.0f) * nearby_[v];
+        signal[v] = pilot[v] > 0 ? pilot[v] / (pilot[v] + noise_nearby) : 0.0f;
+      }
       for (Field& f : fields)
         for (std::size_t v = 0; v < n; ++v) {
           f.kept[v] += signal[v] * (f.rest[v] - f.smoother[v]);
@@ -386,7 +406,8 @@ class Smoothing {
   int directions_;
   std::size_t width_;
   bool has_cut_ = false;
-  float share_, between_;  // the first half's; of the halves' squared difference, the variance of their mean
+  std::vector<float> nearby_;  // the weights that a pilot is summed over, of those that halves are compared over
+  float share_, between_;      // the first half's; of the halves' squared difference, the variance of their mean
   const std::vector<float>* given_[2];
   std::vector<std::vector<float>> inverse_;  // by level: 1 / the blurred weights
   std::vector<float> magnitude_[2], parts_[2], smooth_[2];

@@ -56,12 +56,12 @@ struct Plan {
   }
 
   // After how many batches the error is looked at again where it is `missed` times what it should be. Whatever it
-  // should be, those numbers are of one row that grows by an eighth: what is gone on with ends as if never stopped.
+  // should be, those numbers are of one row that grows by a sixteenth: what is gone on with ends as if never stopped.
   std::uint64_t judged_after(std::uint64_t batches, double missed) const {
     // Errors fall with the root of the number of batches; smoothed ones less fast.
     const double soonest = static_cast<double>(batches) * std::min(2.0, 0.9 * missed * missed);
     std::uint64_t at = least;
-    while (at <= batches || static_cast<double>(at) < soonest) at += std::max<std::uint64_t>(1, at / 8);
+    while (at <= batches || static_cast<double>(at) < soonest) at += std::max<std::uint64_t>(1, at / 16);
     return at;
   }
 };

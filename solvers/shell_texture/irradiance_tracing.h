@@ -52,7 +52,7 @@ IrradianceSums empty_sums(const BaseVolume& volume, const IrradianceOptions& opt
 
 // Goes on from `sums`: the result is a function of volume, options and the number of batches alone, at any thread
 // count, however often it was interrupted. The error is judged where it may have come to its target, after numbers of
-// batches that grow by an eighth.
+// batches that grow by a sixteenth.
 // Throws: InputError; also where it was interrupted before the first batches had ended.
 ShellTexture trace_irradiance(const BaseVolume& volume, const IrradianceOptions& options, IrradianceSums& sums,
                               IrradianceReport* report = nullptr, Progress& progress = no_progress());
