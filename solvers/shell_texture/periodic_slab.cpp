@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: AGPL-3.0-or-later
 #include "solvers/shell_texture/periodic_slab.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -14,6 +15,7 @@ namespace shellgrid {
 namespace {
 
 constexpr int margin = 8;                // voxels about the tile that the surface is made of beside its own
+constexpr double rounding = 1e-5;        // of places on the surface, voxels, and of weights of its corners
 constexpr double beside_surface = 1e-3;  // voxels
 constexpr int rays_per_voxel = 12;       // along x and y, to weigh voxels
 
@@ -40,6 +42,16 @@ void check(const BaseVolume& v) {
         throw InputError("base volume: a voxel holds coefficients that no matter has");
   }
   if (!any) throw InputError("base volume: all of it is free space");
+}
+
+// z = 0, facing upwards.
+TriangleMesh plane(double width, double height) {
+  TriangleMesh mesh;
+  mesh.vertices.resize(4, 3);
+  mesh.vertices << 0, 0, 0, width, 0, 0, width, height, 0, 0, height, 0;
+  mesh.faces.resize(2, 3);
+  mesh.faces << 0, 2, 1, 0, 3, 2;
+  return mesh;
 }
 
 int wrapped(int i, int n) { return ((i % n) + n) % n; }
@@ -97,8 +109,7 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
   spread_indices(volume);
   if (flat_) {
     share_.assign(n, 1.0f);
-    near_surface_.assign(n, 0);
-    std::fill_n(near_surface_.begin(), texels, char{1});
+    sort_surface(plane(width_[0], width_[1]));
     leaps_ = SlabLeaps(size_, voxel_, matter_, std::vector<char>(n, 1));
     return;
   }
@@ -116,7 +127,7 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
       }
   const GridFrame frame{Vec3::Constant(0.5 * voxel_), voxel_};
   const TriangleMesh boundary = voxel_boundary(frame, voxels);
-  find_near_surface(volume, boundary);
+  sort_surface(boundary);
   surface_ = std::make_unique<TransportSurface>(boundary, TriangleMesh());
   lowest_surface_ = (lowest_free + 1) * voxel_;
   top_ = -voxel_;
@@ -136,21 +147,60 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
   leaps_ = SlabLeaps(size_, voxel_, matter_, whole);
 }
 
-void PeriodicSlab::find_near_surface(const BaseVolume& volume, const TriangleMesh& boundary) {
-  near_surface_.assign(volume.free.begin(), volume.free.end());
+void PeriodicSlab::sort_surface(const TriangleMesh& boundary) {
+  std::vector<Facet> facets;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> pairs;  // of voxels and facets
   for (int f = 0; f < boundary.face_count(); ++f) {
+    const Vec3 a = boundary.corner(f, 0), b = boundary.corner(f, 1), c = boundary.corner(f, 2);
+    const Vec3 area = (b - a).cross(c - a);
+    if (!(area.norm() > 0)) continue;
+    const Vec3 normal = area.normalized();
+    const auto form = [&](const Vec3& along, const Vec3& zero) {
+      return Facet::Form{along.x(), along.y(), along.z(), -along.dot(zero)};
+    };
+    const Vec3 of_b = (c - a).cross(normal) / area.norm(), of_c = normal.cross(b - a) / area.norm();
+    facets.push_back({form(normal, a), {form(of_b, a), form(of_c, a)}});
     Vec3i first, last;
     for (int axis = 0; axis < 3; ++axis) {
-      const double a = boundary.corner(f, 0)[axis], b = boundary.corner(f, 1)[axis], c = boundary.corner(f, 2)[axis];
-      first[axis] = std::max(0, static_cast<int>(std::floor(std::min({a, b, c}) / voxel_ - beside_surface)));
-      last[axis] =
-          std::min(size_[axis] - 1, static_cast<int>(std::floor(std::max({a, b, c}) / voxel_ + beside_surface)));
+      const double least = std::min({a[axis], b[axis], c[axis]}), most = std::max({a[axis], b[axis], c[axis]});
+      first[axis] = std::max(0, static_cast<int>(std::floor(least / voxel_ - beside_surface)));
+      last[axis] = std::min(size_[axis] - 1, static_cast<int>(std::floor(most / voxel_ + beside_surface)));
     }
-    last.z() = std::max(last.z(), 0);  // above the volume its uppermost voxels go on
+    last.z() = std::max(last.z(), 0);
     for (int z = first.z(); z <= last.z(); ++z)
       for (int y = first.y(); y <= last.y(); ++y)
-        for (int x = first.x(); x <= last.x(); ++x) near_surface_[volume.index(x, y, z)] = 1;
+        for (int x = first.x(); x <= last.x(); ++x)
+          pairs.emplace_back(static_cast<std::uint32_t>((z * size_.y() + y) * size_.x() + x),
+                             static_cast<std::uint32_t>(facets.size() - 1));
   }
+  std::sort(pairs.begin(), pairs.end());
+  first_facet_.assign(matter_.size() + 1, 0);
+  for (const auto& [voxel, facet] : pairs) {
+    ++first_facet_[voxel + 1];
+    facets_.push_back(facets[facet]);
+  }
+  for (std::size_t v = 0; v < matter_.size(); ++v) first_facet_[v + 1] += first_facet_[v];
+}
+
+bool PeriodicSlab::leave_within(std::size_t voxel_index, const Vec3& point, const Vec3& direction, double begin,
+                                double limit, double& distance, Vec3& normal) const {
+  const double first = begin - rounding * voxel_;
+  double nearest = limit + rounding * voxel_;
+  bool met = false;
+  for (std::uint32_t k = first_facet_[voxel_index]; k < first_facet_[voxel_index + 1]; ++k) {
+    const Facet& f = facets_[k];
+    const double cosine = f.plane.along(direction), below = -f.plane.at(point);
+    if (!(cosine > 0 && below >= first * cosine && below <= nearest * cosine)) continue;
+    const double t = below / cosine;
+    const Vec3 place = point + t * direction;
+    const double b = f.weight[0].at(place), c = f.weight[1].at(place);
+    if (!(b >= -rounding && c >= -rounding && b + c <= 1 + rounding)) continue;
+    nearest = t;
+    normal = Vec3(f.plane.x, f.plane.y, f.plane.z);
+    met = true;
+  }
+  if (met) distance = std::max(0.0, nearest);
+  return met;
 }
 
 void PeriodicSlab::spread_indices(const BaseVolume& volume) {

@@ -2,6 +2,7 @@
 // A base volume as a layer without ends: it repeats along x and y, has its mesostructure surface on top, and is open
 // below, where the core begins.
 #pragma once
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -32,17 +33,29 @@ class PeriodicSlab {
   // Share of each voxel that is matter.
   const std::vector<float>& share() const { return share_; }
   const SlabLeaps& leaps() const { return leaps_; }
-  // Whether the mesostructure surface may go through a voxel.
-  bool is_near_surface(std::size_t voxel_index) const { return near_surface_[voxel_index] != 0; }
+  // Whether parts of the mesostructure surface lie in a voxel. Above the volume its uppermost voxels go on.
+  bool has_surface(std::size_t voxel_index) const { return first_facet_[voxel_index] < first_facet_[voxel_index + 1]; }
 
   // The nearest meeting with the mesostructure surface not farther than `limit`, from a point with x and y within the
   // tile; `limit` must not reach beyond its sides. x, y, z in mm, z the depth; the normal points out of the matter.
   bool meet_surface(const Vec3& point, const Vec3& direction, double limit, bool in_matter, double& distance,
                     Vec3& normal) const;
+  // The same for light in matter, of the parts in one voxel, for distances from `begin` to `limit`.
+  bool leave_within(std::size_t voxel_index, const Vec3& point, const Vec3& direction, double begin, double limit,
+                    double& distance, Vec3& normal) const;
 
  private:
+  // A facet's plane, and the weights of two of its corners by place.
+  struct Facet {
+    struct Form {
+      double x, y, z, constant;
+      double along(const Vec3& v) const { return x * v.x() + y * v.y() + z * v.z(); }
+      double at(const Vec3& v) const { return along(v) + constant; }
+    };
+    Form plane, weight[2];
+  };
   void weigh_voxels();
-  void find_near_surface(const BaseVolume& volume, const TriangleMesh& boundary);
+  void sort_surface(const TriangleMesh& boundary);
   void spread_indices(const BaseVolume& volume);
 
   Vec3i size_ = Vec3i::Zero();
@@ -52,7 +65,8 @@ class PeriodicSlab {
   double lowest_surface_ = 0;  // below it there is matter everywhere
   std::vector<Matter> matter_;
   std::vector<float> share_;
-  std::vector<char> near_surface_;
+  std::vector<Facet> facets_;               // by voxel
+  std::vector<std::uint32_t> first_facet_;  // of each voxel, and past the last
   SlabLeaps leaps_;
   std::vector<float> iors_;        // per voxel, that of the surface nearest by; none where all is ior_
   std::vector<char> bottom_free_;  // per texel

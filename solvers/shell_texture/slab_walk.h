@@ -80,9 +80,9 @@ class SlabWalk {
   template <class Visit>
   void walk_voxels(const SlabPath& path, double end, const Visit& visit) const {
     walk_voxels(
-        path, end, [](std::size_t) {}, visit);
+        path, end, [](std::size_t, double, double) {}, visit);
   }
-  // Before each voxel enter(voxel), which may bring the end nearer.
+  // Before each voxel enter(voxel, begin, limit), which may bring the end nearer.
   template <class Enter, class Visit>
   void walk_voxels(const SlabPath& path, double& end, const Enter& enter, const Visit& visit) const {
     const Vec3i& size = slab_.size();
@@ -105,11 +105,12 @@ class SlabWalk {
     }
     double t = 0;
     for (;;) {
-      enter(static_cast<std::size_t>(at));
       const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
       const int ahead = cell[axis] + step[axis];
       // Above and below the volume its outermost voxels go on.
-      const bool last = next[axis] >= end || ahead < 0 || ahead >= size[axis];
+      const bool outermost = ahead < 0 || ahead >= size[axis];
+      enter(static_cast<std::size_t>(at), t, outermost ? end : std::min(next[axis], end));
+      const bool last = outermost || next[axis] >= end;
       const double to = last ? end : std::max(next[axis], t);
       if (to > t && !visit(static_cast<std::size_t>(at), t, to - t)) return;
       if (last) return;
@@ -132,16 +133,22 @@ class SlabWalk {
     exit = tile_exit(path);
     if (!exit.is_known()) return false;
     Double4 passing = before;
-    bool collides = false, surface_is_known = false;
+    bool collides = false;
     double stop = exit.distance, end = stop;
     walk_voxels(
         path, end,
-        [&](std::size_t voxel) {
-          if (surface_is_known || !slab_.is_near_surface(voxel)) return;
-          surface_is_known = true;
-          meet_before(path, exit);
-          stop = collides ? stop : exit.distance;
-          end = exit.distance;
+        [&](std::size_t voxel, double begin, double limit) {
+          if (!slab_.has_surface(voxel)) return;
+          double distance = 0;
+          Vec3 normal;
+          // Beyond its last deposit a flight need not know.
+          const double last =
+              begin + (left - log_chance_below) / static_cast<double>(slab_.matter(voxel).extinction[hero]);
+          if (!slab_.leave_within(voxel, path.point, path.direction, begin, std::min(limit, last), distance, normal))
+            return;
+          exit = {distance, Side::surface, normal};
+          end = distance;
+          if (!collides) stop = distance;
         },
         [&](std::size_t voxel, double begin, double length) {
           const Float4& matter = slab_.matter(voxel).extinction;
