@@ -19,6 +19,7 @@
 #include "pipeline/scene/scene_checks.h"
 #include "pipeline/scene/shell_texture_file.h"
 #include "solvers/dipole/dipole.h"
+#include "solvers/shell_texture/body_shape.h"
 #include "solvers/shell_texture/core_light.h"
 #include "synthesis/half_space_reflectance.h"
 #include "synthesis/textured_mesh.h"
@@ -104,6 +105,30 @@ struct CoreShine {
   std::string account;
 };
 
+// The dipole's core as dipole_shine has it.
+FlatCore flat_core(const TexturedFrames& frames, const ShellVolume& shell, double ior, bool paper,
+                   const CoreExchangeOptions& given) {
+  const auto channels = core_dipoles(shell.core, ior, paper);
+  FlatCore core;
+  for (int c = 0; c < 3; ++c) core.total[c] = static_cast<float>(channels[c].total());
+  core.exitance = [&frames, &given, channels, paper, thickness = shell.thickness](CoreSurface& surface) {
+    CoreExchangeOptions options = given;
+    if (options.bounces == 0) surface.shell_reflection.clear();
+    double area = 0;
+    for (const float a : surface.areas) area += static_cast<double>(a);
+    const double radius =
+        std::sqrt(area / std::max<double>(1, static_cast<double>(surface.points.size())) / std::numbers::pi);
+    const double size = core_size(frames, surface, thickness);
+    if (!paper)
+      for (int c = 0; c < 3; ++c)
+        options.returned[c] = channels[c].total() * (size > 0 ? body_return(channels[c], size) : 1);
+    std::vector<Rgb> exitance = exchange_core_light(surface, dipole_profile(channels, radius), options).exitance;
+    spread_over_edges(surface, 2 * thickness, exitance);
+    return exitance;
+  };
+  return core;
+}
+
 // size: of the core, 3 V/A, mm; 0: it returns what a half-space does.
 CoreShine dipole_shine(CoreSurface& core, const TexturedFrames& frames, const VertexBuckets* pieces,
                        const ShellVolume& shell, double ior, bool paper, double size, CoreExchangeOptions options,
@@ -165,9 +190,12 @@ CoreShine diffusion_shine(const CoreSurface& core, const ShellVolume& shell, con
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::string scene_path, mesh_path, shell_path, texture_path, fluence_path, model = "matched", correction = "kernels";
+  std::string scene_path, mesh_path, shell_path, texture_path, fluence_path, model = "matched", correction = "kernels",
+                                                                             shape = "body";
   int environment_samples = 384;
   double piece = 0.3;
+  BodyShapeOptions shaping;
+  bool no_interreflection = false;
   bool flat = false;
   CoreExchangeOptions options;
   options.sums.tolerance = 0.02;
@@ -198,6 +226,14 @@ int main(int argc, char** argv) {
   program.option("--environment-samples", environment_samples, "", "parallel lights that stand for an environment", 1,
                  65536);
   program.option("--correction", correction, irradiance_correction_help, irradiance_correction_names);
+  program.option(
+      "--shape", shape,
+      "how scattered light knows the object's shape, of which the sample's knows nothing; body: by diffusion "
+      "in the whole object, where a grid can follow it; bends: by its curvature",
+      {"body", "bends"});
+  program.option("--shape-cells", shaping.most_cells, "", "of the grid that --shape body solves on, at most", 1e3, 1e8);
+  program.flag("--no-interreflection", no_interreflection,
+               "light that leaves the object and falls on it again is not followed");
   program.flag("--flat", flat, flat_shell_help);
   program.example("sg-core scene.json synthesized.ply shell.vdb stf.vdb -o core.ply", "ready for sg-render");
   return program.run(argc, argv, [&](StageRun& run) {
@@ -206,7 +242,9 @@ int main(int argc, char** argv) {
     program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
                           {"--environment-samples"});
     program.refuse_unless(fluence_path.empty(), "a core by the dipole, without --fluence",
-                          {"--dipole", "--tolerance", "--bounces", "--piece", "--brute-force"});
+                          {"--dipole", "--tolerance", "--bounces", "--piece", "--brute-force", "--shape"});
+    program.refuse_unless(!flat, "a core that is not --flat", {"--shape", "--no-interreflection"});
+    program.refuse_unless(!flat && shape == "body" && fluence_path.empty(), "--shape body", {"--shape-cells"});
     const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
     std::map<std::string, std::string> shell_notes;
     const ShellVolume shell = read_shell_volume(shell_path, ShellParts::matter, &shell_notes);
@@ -237,8 +275,14 @@ int main(int argc, char** argv) {
     const double edge = fluence_path.empty() && piece > 0 ? piece * clearness(shell) * shell.thickness : 0;
     std::optional<VertexBuckets> pieces;
     if (edge > 0) pieces.emplace(frames, vertex_areas(surface.mesh), edge);
+    BodyShape body;
+    shaping.diffusion = shape == "body" && fluence_path.empty();
+    shaping.returns = !no_interreflection;
+    if (!flat)
+      body = body_shape(frames, geometry, shell, ior, spread, texture->directions(),
+                        flat_core(frames, shell, ior, model == "paper", options), shaping);
     std::optional<ShellCurvature> curvature;
-    if (!flat) curvature.emplace(frames, shell, ior);
+    if (!flat && !body.whole) curvature.emplace(frames, shell, ior);
     CoreSurface core = core_surface(frames, spread, *texture, surface.coordinate, shell.thickness,
                                     pieces ? &*pieces : nullptr, curvature ? &*curvature : nullptr);
     run.start_timer("exchange");
@@ -256,16 +300,22 @@ int main(int argc, char** argv) {
     }
 
     run.start_timer("write");
-    TriangleMesh shape = surface.mesh;
-    shape.vertices -= shell.thickness * frames.normals;
-    write_ply(run.output(), exitance_mesh(shape, shine.exitance, shine.irradiance),
+    TriangleMesh below = surface.mesh;
+    below.vertices -= shell.thickness * frames.normals;
+    AttributedMesh written = exitance_mesh(below, shine.exitance, shine.irradiance);
+    if (!body.ratios.empty()) add_colour_property(written, "shape", body.ratios);
+    write_ply(run.output(), written,
               {{samples_note, sample},
                {shell_note, hash_files({shell_path})},
                {lights_note, hash_lights(scene.lights)},
-               {flat_note, flat ? "yes" : "no"}});
+               {flat_note, flat ? "yes" : "no"},
+               {shape_note, body.whole ? "body" : "bends"}});
     Eigen::Array3d entering = Eigen::Array3d::Zero();
     for (const Rgb& one : core.power) entering += one.cast<double>();
     run.results() = shine.results;
+    run.results()["shape"] = flat ? "flat" : body.whole ? "body" : "bends";
+    if (body.whole)
+      run.results()["body"] = {{"spacing", body.spacing}, {"cells", body.cells}, {"iterations", body.iterations}};
     run.results()["vertices"] = surface.mesh.vertex_count();
     run.results()["points"] = core.points.size();
     run.results()["entering_power"] = list(entering);

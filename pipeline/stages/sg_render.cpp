@@ -26,18 +26,24 @@ using namespace shellgrid;
 
 namespace {
 
-std::vector<Rgb> exitance_of(const std::string& path, const AttributedMesh& surface, const std::string& writer) {
+// NAME_r, NAME_g, NAME_b; empty where there are none.
+std::vector<Rgb> colours_of(const AttributedMesh& surface, const std::string& name) {
   const std::vector<float>* channels[3];
   for (int k = 0; k < 3; ++k) {
-    const std::string name = std::string("exitance_") + "rgb"[k];
-    channels[k] = surface.find(name);
-    if (!channels[k])
-      throw InputError(path + ": no vertex property " + name + "; expected the exitance that " + writer + " writes");
+    channels[k] = surface.find(name + "_" + "rgb"[k]);
+    if (!channels[k]) return {};
   }
-  std::vector<Rgb> exitance;
+  std::vector<Rgb> colours;
   for (int v = 0; v < surface.mesh.vertex_count(); ++v)
-    exitance.emplace_back((*channels[0])[v], (*channels[1])[v], (*channels[2])[v]);
-  return exitance;
+    colours.emplace_back((*channels[0])[v], (*channels[1])[v], (*channels[2])[v]);
+  return colours;
+}
+
+std::vector<Rgb> exitance_of(const std::string& path, const AttributedMesh& surface, const std::string& writer) {
+  for (const char* name : {"exitance_r", "exitance_g", "exitance_b"})
+    if (!surface.find(name))
+      throw InputError(path + ": no vertex property " + name + "; expected the exitance that " + writer + " writes");
+  return colours_of(surface, "exitance");
 }
 
 // The files of a picture by the shell texture function.
@@ -88,9 +94,14 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
     throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", files.texture,
                                  texture->voxel(), files.shell, shell.frame.voxel));
   std::vector<Rgb> core;
+  BodyShape shape;
   if (!files.core.empty()) {
     const AttributedMesh core_mesh = read_mesh(files.core);
     core = exitance_of(files.core, core_mesh, "sg-core");
+    if (!files.flat) {
+      shape.ratios = colours_of(core_mesh, "shape");
+      shape.whole = !shape.ratios.empty() && note_of(read_notes(files.core), shape_note) == "body";
+    }
     require_core_of(files.core, sample, files.texture, files.shell, scene);
     if (const std::string core_is_flat = note_of(read_notes(files.core), flat_note);
         !core_is_flat.empty() && (core_is_flat == "yes") != files.flat)
@@ -114,8 +125,8 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   shown.correction = irradiance_correction(files.correction);
   ShellTextureStatistics s;
   RenderedImage picture = render_shell_texture(
-      {*object, shell, frames, *texture, surface.coordinate, core, curvature ? &*curvature : nullptr}, scene.lights,
-      *scene.camera, shown, &s, run.progress());
+      {*object, shell, frames, *texture, surface.coordinate, core, curvature ? &*curvature : nullptr, std::move(shape)},
+      scene.lights, *scene.camera, shown, &s, run.progress());
   run.results()["marches"] = s.marches;
   run.results()["march_steps"] = s.march_steps;
   run.results()["voxels_lit"] = s.voxels_lit;

@@ -36,16 +36,12 @@ std::vector<float> core_areas(const TexturedFrames& frames, double thickness) {
   return areas;
 }
 
-CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
-                         const std::vector<Vec2f>& coordinates, double thickness, const VertexBuckets* pieces,
-                         const ShellCurvature* curvature) {
+CoreSurface bare_core(const TexturedFrames& frames, double thickness, const VertexBuckets* pieces) {
   const TriangleMesh& mesh = frames.mesh;
-  const auto vertices = static_cast<std::size_t>(mesh.vertex_count());
-  if (coordinates.size() != vertices) throw InputError("the surface's texture coordinates do not have its size");
   if (!(thickness >= 0)) throw InputError("a shell's thickness is not negative");
   const auto below = [&](int v) -> Vec3 { return mesh.vertex(v) - thickness * frames.normals.row(v).transpose(); };
   const std::vector<float> areas = core_areas(frames, thickness);
-  const std::size_t n = pieces ? static_cast<std::size_t>(pieces->count()) : vertices;
+  const std::size_t n = pieces ? static_cast<std::size_t>(pieces->count()) : areas.size();
   CoreSurface surface;
   surface.points.resize(n);
   surface.areas.assign(n, 0.0f);
@@ -58,18 +54,16 @@ CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light,
       [&](std::size_t i) {
         const int own = static_cast<int>(i);
         const std::vector<int>& members = pieces ? (*pieces)[own].members : std::vector<int>{own};
-        Vec3 point = Vec3::Zero(), plain = Vec3::Zero(), middle = Vec3::Zero();
+        Vec3 point = Vec3::Zero(), plain = Vec3::Zero();
         double whole = 0;
         for (const int v : members) {
           const auto size = static_cast<double>(areas[v]);
           point += size * below(v);
           plain += below(v);
-          middle += mesh.vertex(v);
           whole += size;
         }
         const auto count = static_cast<double>(members.size());
         point = whole > 0 && count > 1 ? Vec3(point / whole) : Vec3(plain / count);
-        middle /= count;
         surface.points[i] = point.cast<float>();
         // Where the shell is thicker than half the object, or than its radius of curvature, points come out near the
         // surface again: there is no core.
@@ -80,10 +74,34 @@ CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light,
         }
         surface.presence[i] = there;
         surface.areas[i] = static_cast<float>(whole) * there;
-        const int lit = *std::min_element(members.begin(), members.end(), [&](int a, int b) {
-          return (mesh.vertex(a) - middle).squaredNorm() < (mesh.vertex(b) - middle).squaredNorm();
-        });
-        const PreparedLight prepared = texture.prepare(light.at_bottom(lit));
+      },
+      64);
+  return surface;
+}
+
+int vertex_in_middle(const TriangleMesh& mesh, const std::vector<int>& members) {
+  Vec3 middle = Vec3::Zero();
+  for (const int v : members) middle += mesh.vertex(v);
+  middle /= static_cast<double>(members.size());
+  return *std::min_element(members.begin(), members.end(), [&](int a, int b) {
+    return (mesh.vertex(a) - middle).squaredNorm() < (mesh.vertex(b) - middle).squaredNorm();
+  });
+}
+
+CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
+                         const std::vector<Vec2f>& coordinates, double thickness, const VertexBuckets* pieces,
+                         const ShellCurvature* curvature) {
+  const TriangleMesh& mesh = frames.mesh;
+  if (coordinates.size() != static_cast<std::size_t>(mesh.vertex_count()))
+    throw InputError("the surface's texture coordinates do not have its size");
+  CoreSurface surface = bare_core(frames, thickness, pieces);
+  const std::vector<float> areas = core_areas(frames, thickness);
+  parallel_for(
+      surface.points.size(),
+      [&](std::size_t i) {
+        const int own = static_cast<int>(i);
+        const std::vector<int>& members = pieces ? (*pieces)[own].members : std::vector<int>{own};
+        const PreparedLight prepared = texture.prepare(light.at_bottom(vertex_in_middle(mesh, members)));
         Rgb reflection = Rgb::Zero();
         for (const int v : members) {
           const Vec2f& at = coordinates[v];
@@ -93,10 +111,10 @@ CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light,
             down *= curvature->below(v);
             back = (1 - (1 - back) * curvature->loss(v)).max(0);
           }
-          surface.power[i] += there * areas[v] * down;
+          surface.power[i] += surface.presence[i] * areas[v] * down;
           reflection += back.min(1);
         }
-        surface.shell_reflection[i] = reflection / static_cast<float>(count);
+        surface.shell_reflection[i] = reflection / static_cast<float>(members.size());
       },
       64);
   return surface;

@@ -15,6 +15,13 @@ namespace shellgrid {
 // The areas `thickness` mm below those of the surface's vertices, mm²; 0 where the surface bends more than that.
 std::vector<float> core_areas(const TexturedFrames& frames, double thickness);
 
+// The core's surface without light: points, areas and presence, `thickness` mm below the mesh. pieces: as in
+// core_surface.
+CoreSurface bare_core(const TexturedFrames& frames, double thickness, const VertexBuckets* pieces = nullptr);
+
+// Of some vertices the one nearest to the middle of all.
+int vertex_in_middle(const TriangleMesh& mesh, const std::vector<int>& members);
+
 // The core's surface, `thickness` mm below the mesh, point by point below its vertices. What passes down through the
 // sample's bottom where it stands there falls on it, per area of the core: so within a white object in even light there
 // is even light, whatever its curvature. Source: [STF §7 step 1].

@@ -4,20 +4,10 @@
 #include <array>
 #include <vector>
 
-#include "meshing/shell/shell_volume.h"
+#include "solvers/shell_texture/shell_column.h"
 #include "solvers/shell_texture/vertex_buckets.h"
 
 namespace shellgrid {
-
-// One layer of a shell: the means of its matter, by channel.
-struct ShellLayer {
-  Rgb extinction = Rgb::Zero();  // σ_t, mm⁻¹
-  Rgb reduced = Rgb::Zero();     // σ_t'
-  Rgb absorption = Rgb::Zero();  // σ_a
-};
-// Of the shell's matter by depth, a voxel each; a layer without matter is as the one below it. Throws: InputError where
-// there is no matter at all.
-std::vector<ShellLayer> shell_layers(const ShellVolume& shell);
 
 // A shell bent to a ball's beside the same shell flat: light in it, by depth below its surface.
 //

@@ -23,7 +23,7 @@ constexpr float gentle = 0.5f;
 
 ShellLight::ShellLight(const ShellVolume& shell, const TexturedFrames& frames, const SpreadLight& incident,
                        const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts,
-                       const ShellCurvature* curvature)
+                       const ShellCurvature* curvature, const BodyShape& shape)
     : shell_(shell),
       frames_(frames),
       incident_(incident),
@@ -31,12 +31,15 @@ ShellLight::ShellLight(const ShellVolume& shell, const TexturedFrames& frames, c
       core_(core),
       parts_(parts),
       curvature_(curvature),
+      shape_(shape),
       relative_ior_(shell.ior),
       vertices_(frames.mesh.vertices),
       leaves_(static_cast<std::size_t>(shell.texture_coordinate.leaf_count())),
       lights_(static_cast<std::size_t>(frames.mesh.vertex_count())) {
   if (!core.empty() && core.size() != lights_.size())
     throw InputError("the core's exitance does not have the surface's size");
+  if (!shape.ratios.empty() && shape.ratios.size() != lights_.size())
+    throw InputError("the shape's ratios do not have the surface's size");
   const TriangleMesh& mesh = frames.mesh;
   first_face_.assign(lights_.size() + 1, 0);
   for (int f = 0; f < mesh.face_count(); ++f)
@@ -214,10 +217,17 @@ void ShellLight::work_out(int leaf_index, int offset, const Vec3i& voxel, ShellT
   beams.share.setOnes();
   if (curvature_) {
     const BentShell::Ratios bent = curvature_->at(vertex, place.z());
-    multiple *= bent.multiple;
     single *= bent.single;
     beams.share = bent.single;
-    back = bent.back;
+    if (!shape_.whole) {
+      multiple *= bent.multiple;
+      back = bent.back;
+    }
+  }
+  if (!shape_.ratios.empty()) {
+    const Rgb ratio = at_place(shape_.ratios, on_surface);
+    multiple *= ratio;
+    back *= ratio;
   }
   // Radiance M/π from below, and a fluence of 2π times that in I_m(ω_b).
   if (has_core()) multiple += 2 * core_exitance(on_surface) * back * texture.back(place).array().max(0);

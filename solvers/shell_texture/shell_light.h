@@ -11,6 +11,7 @@
 
 #include "meshing/shell/shell_volume.h"
 #include "meshing/surface/closest_point.h"
+#include "solvers/shell_texture/body_shape.h"
 #include "solvers/shell_texture/shell_curvature.h"
 #include "solvers/shell_texture/spread_light.h"
 
@@ -28,7 +29,7 @@ class ShellLight {
   // taken as flat. All must outlive this. Throws: InputError where the core does not have the surface's size.
   ShellLight(const ShellVolume& shell, const TexturedFrames& frames, const SpreadLight& incident,
              const ShellTextureLookup& texture, const std::vector<Rgb>& core, const ShellLightParts& parts,
-             const ShellCurvature* curvature = nullptr);
+             const ShellCurvature* curvature = nullptr, const BodyShape& shape = {});
 
   const ShellVolume& shell() const { return shell_; }
   // Linear between the vertices about a point; `vertex` is the nearest one.
@@ -127,10 +128,11 @@ class ShellLight {
     std::array<float, 3> weights = {};
   };
   SurfacePlace place_about(int vertex, const Vec3& point) const;
-  Rgb core_exitance(const SurfacePlace& place) const {
-    return place.weights[0] * core_[place.vertices[0]] + place.weights[1] * core_[place.vertices[1]] +
-           place.weights[2] * core_[place.vertices[2]];
+  static Rgb at_place(const std::vector<Rgb>& values, const SurfacePlace& place) {
+    return place.weights[0] * values[place.vertices[0]] + place.weights[1] * values[place.vertices[1]] +
+           place.weights[2] * values[place.vertices[2]];
   }
+  Rgb core_exitance(const SurfacePlace& place) const { return at_place(core_, place); }
   // A list of light, its strength, and that in which it is meant.
   struct Part {
     const SurfaceLight& light;
@@ -152,6 +154,7 @@ class ShellLight {
   const std::vector<Rgb>& core_;
   ShellLightParts parts_;
   const ShellCurvature* curvature_;
+  BodyShape shape_;
   double relative_ior_;
   NearestVertexQuery vertices_;
   std::vector<int> first_face_, faces_about_;  // of vertices: of vertex v from first_face_[v] on

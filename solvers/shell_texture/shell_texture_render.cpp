@@ -313,7 +313,7 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
   const SpreadLight spread(incident, kernels, scene.texture.size(), scene.coordinates,
                            kernels.empty() ? std::vector<Vec3f>() : band_responses(scene.texture, false));
   const ShellLight light(scene.shell, scene.frames, spread, scene.texture, scene.core,
-                         {settings.outside_light, settings.core_light}, scene.curvature);
+                         {settings.outside_light, settings.core_light}, scene.curvature, scene.shape);
   const ShellPicture picture(scene, stage, light, settings);
   const auto from_camera = [&](const Vec3& origin, const Vec3& direction) {
     LightPath path{PathRandom(0, 0)};

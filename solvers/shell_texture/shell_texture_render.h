@@ -5,6 +5,7 @@
 
 #include "meshing/shell/shell_volume.h"
 #include "solvers/render/surface_render.h"
+#include "solvers/shell_texture/body_shape.h"
 #include "solvers/shell_texture/shell_curvature.h"
 #include "solvers/shell_texture/spread_light.h"
 #include "solvers/transport/transport_object.h"
@@ -20,6 +21,7 @@ struct ShellTextureScene {
   const std::vector<Vec2f>& coordinates;      // of the surface's vertices in the sample, texels
   const std::vector<Rgb>& core;               // exitance of the core below each vertex, W mm⁻²; empty: a black core
   const ShellCurvature* curvature = nullptr;  // of the shell; none: it is taken as flat, as in the paper
+  BodyShape shape = {};  // scattered light is as much brighter; of a whole one, bends count for beams alone
 };
 
 struct ShellTextureSettings {

@@ -69,6 +69,9 @@ class SpreadLight {
   // The same for what passes through the bottom alone.
   std::vector<DirectionWeight> at_bottom(int vertex) const;
 
+  // The kernels' band of a layer of voxels; -1: none.
+  int band_of(int layer) const { return kernels_.empty() ? -1 : kernels_.band_of(layer); }
+
   std::int64_t spread_vertices() const { return spread_vertices_; }
   static constexpr double unevenness = 0.01;
   // Light that differs by less from that about it is the same in another strength, of its own.

@@ -195,7 +195,7 @@ class ShellTextureSceneTest(WorkplaceTest):
             whole = file.read()
         with open(self.at("silent.ply"), "wb") as file:
             file.write(re.sub(b"comment shellgrid [^\n]*\n", b"", whole))
-        self.assertEqual(len(re.findall(b"comment shellgrid \\w+ [^\n]*\n", whole)), 4)
+        self.assertEqual(len(re.findall(b"comment shellgrid \\w+ [^\n]*\n", whole)), 5)
         taken = ["--stf", self.at("same.stf"), "-o", self.at("taken.exr")]
         self.ok(*render, *taken, "--shell", shell, "--core", core)
         self.ok(*render, *taken, "--shell", self.at("resaved.vdb"), "--core", core)

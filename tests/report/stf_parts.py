@@ -128,7 +128,7 @@ def shell_layers(study, sizes):
         picture, told = scene.picture(name, *[flag for flag in flags if flag == "--flat"], core=core, shell=shell, texture=texture)
         found, faces = truth.judge(picture), truth.judge(picture, faces_of(picture, scene.content, 12 * sizes.size, min(4, 8 * sizes.size)))
         part.row(name, *error_cells(found), error_cells(faces)[0], "%.1f" % (core_told["processor"] + told["processor"]))
-        errors.append((faces["error"], faces["uncertainty"]))
+        errors.append((found["error"], found["uncertainty"]))
         shown.append(colours(picture))
     part.values["errors"] = [error for error, _ in errors]
     falls = all(more[0] < less[0] + more[1] for more, less in zip(errors, errors[1:]))
@@ -186,7 +186,7 @@ def shadow_border(study, sizes):
     band = lambda side: (side * (rows - border) > 0)[:, None] & (abs(rows - border) < 4)[:, None] & truth.inside
     errors, shown = {}, [truth.mean]
     for how in ("none", "one", "kernels"):
-        core, core_told = scene.core(how, "--correction", how)
+        core, core_told = scene.core(how, "--correction", how, "--no-interreflection")
         picture, told = scene.picture(how, "--correction", how, core=core)
         found, lit, dark = truth.judge(picture), truth.judge(picture, band(1)), truth.judge(picture, band(-1))
         errors[how] = found, lit, dark
