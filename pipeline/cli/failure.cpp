@@ -46,7 +46,7 @@ bool is_shortage(const std::exception_ptr& error) {
 
 // What the handler of uncaught exceptions needs, made while there is memory.
 struct LastWords {
-  std::string program, shortage_line;
+  std::string program, shortage_line, fault_line;
   std::vector<std::string> folders;
   std::unique_ptr<char[]> reserve;
 };
@@ -58,21 +58,34 @@ void say(const std::string& line) {
 
 [[noreturn]] void end_program() {
   static std::atomic_flag ending = ATOMIC_FLAG_INIT;
-  if (ending.test_and_set())
-    for (;;) ::pause();  // another thread already ends the program
+  static std::atomic<int> code = 1;
+  static bool has_spoken = false;
+  thread_local bool is_ending_it = false;
+  constexpr unsigned patience = 10;  // seconds
+  if (is_ending_it) {
+    // What ends the program failed itself, where no exception may pass.
+    if (!has_spoken) say(last_words->fault_line);
+    ::_exit(code);
+  }
+  if (ending.test_and_set()) {
+    // Another thread already ends it, unless it waits for what it will not get.
+    for (unsigned left = patience; left > 0;) left = ::sleep(left);
+    ::_exit(code);
+  }
+  is_ending_it = true;
   const std::exception_ptr error = std::current_exception();
-  int code = 1;
   if (error && is_shortage(error)) {
     code = 3;
     say(last_words->shortage_line);
+    has_spoken = true;
   }
   last_words->reserve.reset();
   try {
     if (code != 3) {
-      const Failure failure = error ? describe_failure(last_words->program, error)
-                                    : Failure{1, last_words->program + ": error: internal fault: no way to go on"};
+      const Failure failure = error ? describe_failure(last_words->program, error) : Failure{code, {}};
       code = failure.code;
-      say(failure.message + "\n");
+      say(error ? failure.message + "\n" : last_words->fault_line);
+      has_spoken = true;
     }
     remove_half_written_files(last_words->folders);
   } catch (...) {
@@ -144,7 +157,8 @@ void end_cleanly_on_uncaught_exceptions(const std::string& program, const std::v
   constexpr std::size_t reserve_bytes = std::size_t{4} << 20;
   // Never given back: threads may fail while the program already ends.
   static LastWords words;
-  words = {program, program + ": error: " + out_of_memory + "\n", folders, std::make_unique<char[]>(reserve_bytes)};
+  words = {program, program + ": error: " + out_of_memory + "\n",
+           program + ": error: internal fault: no way to go on\n", folders, std::make_unique<char[]>(reserve_bytes)};
   last_words = &words;
   std::set_terminate(end_program);
 }
