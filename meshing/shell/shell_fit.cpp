@@ -8,7 +8,7 @@
 namespace shellgrid {
 
 double shell_misfit(const ShellVolume& shell, const TriangleMesh& surface) {
-  constexpr std::size_t most = 2000;
+  constexpr std::size_t most = 500;
   const auto has_depth = [&](int i, int j, int k, const Vec3f& coordinate) {
     return coordinate.z() > 0 && shell.kind.value(i, j, k) != core_voxel_kind;
   };

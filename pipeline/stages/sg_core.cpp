@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
 #include "meshing/formats/mesh_file.h"
 #include "meshing/formats/vdb_file.h"
 #include "meshing/formats/vtkhdf_file.h"
@@ -245,12 +246,18 @@ int main(int argc, char** argv) {
                           {"--dipole", "--tolerance", "--bounces", "--piece", "--brute-force", "--shape"});
     program.refuse_unless(!flat, "a core that is not --flat", {"--shape", "--no-interreflection"});
     program.refuse_unless(!flat && shape == "body" && fluence_path.empty(), "--shape body", {"--shape-cells"});
-    const TexturedMesh surface = detach_texture(read_mesh(mesh_path), mesh_path);
+    TexturedMesh surface;
+    ShellVolume shell;
     std::map<std::string, std::string> shell_notes;
-    const ShellVolume shell = read_shell_volume(shell_path, ShellParts::matter, &shell_notes);
-    require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress());
+    std::unique_ptr<ShellTextureLookup> texture;
     std::string sample;
-    const auto texture = open_shell_texture(texture_path, ShellTextureParts::bottom, &sample);
+    together([&] { surface = detach_texture(read_mesh(mesh_path), mesh_path); },
+             [&] { shell = read_shell_volume(shell_path, ShellParts::matter, &shell_notes); },
+             [&] { texture = open_shell_texture(texture_path, ShellTextureParts::bottom, &sample); });
+    std::optional<SceneGeometry> built;
+    together([&] { require_same_object(shell, shell_path, surface.mesh, mesh_path, run.progress()); },
+             [&] { built.emplace(surface.mesh); });
+    const SceneGeometry& geometry = *built;
     require_same_samples(sample, texture_path, note_of(read_notes(mesh_path), samples_note), mesh_path);
     require_same_samples(sample, texture_path, note_of(shell_notes, samples_note), shell_path);
     if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
@@ -263,7 +270,6 @@ int main(int argc, char** argv) {
     warn_of_darkness(scene, run.progress());
 
     run.start_timer("light");
-    const SceneGeometry geometry(surface.mesh);
     for (const Light& light : scene.lights)
       if (const std::optional<Vec3> place = light_position(light); place && geometry.contains(*place))
         throw InputError(scene_path + ": lights: a light stands inside the object");

@@ -71,23 +71,37 @@ struct ShellTextureFiles {
   }
 };
 
-RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::string& surface_path,
-                                    const AttributedMesh& surface_file, const Scene& scene,
-                                    const RenderSettings& settings, StageRun& run) {
-  const TexturedMesh surface = detach_texture(surface_file, surface_path);
+// What is in them.
+struct ShellTextureInputs {
+  ShellVolume shell;
+  std::map<std::string, std::string> shell_notes;
+  std::unique_ptr<ShellTextureLookup> texture;
+  std::string sample;
+  AttributedMesh core;
+
+  explicit ShellTextureInputs(const ShellTextureFiles& files) {
+    together([&] { shell = read_shell_volume(files.shell, ShellParts::matter, &shell_notes); },
+             [&] { texture = open_shell_texture(files.texture, ShellTextureParts::all, &sample); },
+             [&] {
+               if (!files.core.empty()) core = read_mesh(files.core);
+             });
+  }
+};
+
+RenderedImage shell_texture_picture(const ShellTextureFiles& files, ShellTextureInputs inputs,
+                                    const std::string& surface_path, const AttributedMesh& surface_file,
+                                    const Scene& scene, const RenderSettings& settings, StageRun& run) {
+  const auto& [shell, shell_notes, texture, sample, core_mesh] = inputs;
+  TexturedMesh surface;
+  together([&] { require_same_object(shell, files.shell, surface_file.mesh, surface_path, run.progress()); },
+           [&] { surface = detach_texture(surface_file, surface_path); });
   if (!surface.sample.empty())
     throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
-  std::map<std::string, std::string> shell_notes;
-  const ShellVolume shell = read_shell_volume(files.shell, ShellParts::matter, &shell_notes);
   if (std::abs(shell.ior - scene.object->ior) > 1e-6)
     run.progress().warn(
         fmt::format("{} is of refractive index {:g}, and so is its sample's light; the scene's {:g} is "
                     "that of the surface alone",
                     files.shell, shell.ior, scene.object->ior));
-  std::string sample;
-  std::unique_ptr<ShellTextureLookup> texture;
-  together([&] { require_same_object(shell, files.shell, surface.mesh, surface_path, run.progress()); },
-           [&] { texture = open_shell_texture(files.texture, ShellTextureParts::all, &sample); });
   require_same_samples(sample, files.texture, note_of(read_notes(surface_path), samples_note), surface_path);
   require_same_samples(sample, files.texture, note_of(shell_notes, samples_note), files.shell);
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
@@ -96,7 +110,6 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, const std::s
   std::vector<Rgb> core;
   BodyShape shape;
   if (!files.core.empty()) {
-    const AttributedMesh core_mesh = read_mesh(files.core);
     core = exitance_of(files.core, core_mesh, "sg-core");
     if (!files.flat) {
       shape.ratios = colours_of(core_mesh, "shape");
@@ -198,7 +211,12 @@ int main(int argc, char** argv) {
     require_memory(scene_path, *scene.camera);
     program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
                           {"--environment-samples"});
-    const AttributedMesh surface = read_mesh(surface_path);
+    AttributedMesh surface;
+    std::optional<ShellTextureInputs> inputs;
+    together([&] { surface = read_mesh(surface_path); },
+             [&] {
+               if (files.asked_for()) inputs.emplace(files);
+             });
     settings.film.samples_per_pixel = samples > 0 ? samples : scene.method.samples_per_pixel;
     settings.film.seed = run.seed();
     settings.background = scene.background;
@@ -209,7 +227,8 @@ int main(int argc, char** argv) {
     const bool opaque = scene.material && scene.material->opaque;
     if (!opaque && !scene.object) throw InputError(scene_path + ": no object; its ior is needed");
     const auto render = [&] {
-      if (files.asked_for()) return shell_texture_picture(files, surface_path, surface, scene, settings, run);
+      if (files.asked_for())
+        return shell_texture_picture(files, std::move(*inputs), surface_path, surface, scene, settings, run);
       if (opaque)
         return render_surface(surface.mesh, OpaqueSurface{scene.material->opaque->reflectance}, scene.lights,
                               *scene.camera, settings, run.progress());

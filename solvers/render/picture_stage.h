@@ -28,7 +28,10 @@ class PictureStage {
   // Throws: InputError if the camera is inside the object.
   PictureStage(const TriangleMesh& mesh, const std::vector<Light>& lights, const Camera& camera,
                const RenderSettings& settings)
-      : mesh(mesh), geometry(mesh), rays(camera), normals(vertex_normals(mesh)), settings(settings) {
+      : PictureStage(mesh, vertex_normals(mesh), lights, camera, settings) {}
+  PictureStage(const TriangleMesh& mesh, VertexMatrix vertex_normals, const std::vector<Light>& lights,
+               const Camera& camera, const RenderSettings& settings)
+      : mesh(mesh), geometry(mesh), rays(camera), normals(std::move(vertex_normals)), settings(settings) {
     if (geometry.contains(camera.position))
       throw InputError(fmt::format("the camera at ({:g}, {:g}, {:g}) is inside the object; move its position out",
                                    camera.position.x(), camera.position.y(), camera.position.z()));

@@ -126,9 +126,9 @@ PeriodicSlab::PeriodicSlab(const BaseVolume& volume) : size_(volume.size), voxel
         voxels.emplace_back(x, y, z);
       }
   const GridFrame frame{Vec3::Constant(0.5 * voxel_), voxel_};
-  const TriangleMesh boundary = voxel_boundary(frame, voxels);
-  sort_surface(boundary);
-  surface_ = std::make_unique<TransportSurface>(boundary, TriangleMesh());
+  boundary_ = voxel_boundary(frame, voxels);
+  sort_surface(boundary_);
+  surface_ = std::make_unique<TransportSurface>(boundary_, TriangleMesh());
   lowest_surface_ = (lowest_free + 1) * voxel_;
   top_ = -voxel_;
   weigh_voxels();

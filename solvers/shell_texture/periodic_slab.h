@@ -70,6 +70,7 @@ class PeriodicSlab {
   SlabLeaps leaps_;
   std::vector<float> iors_;        // per voxel, that of the surface nearest by; none where all is ior_
   std::vector<char> bottom_free_;  // per texel
+  TriangleMesh boundary_;          // of matter, where there is free space
   std::unique_ptr<TransportSurface> surface_;
 };
 

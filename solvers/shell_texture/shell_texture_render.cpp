@@ -10,6 +10,8 @@
 #include <numbers>
 
 #include "meshing/core/error.h"
+#include "meshing/core/parallel.h"
+#include "meshing/surface/half_edges.h"
 #include "solvers/render/picture_stage.h"
 #include "solvers/shell_texture/shell_light.h"
 #include "solvers/transport/dielectric.h"
@@ -43,13 +45,22 @@ struct Seen {
 
 class ShellPicture {
  public:
-  ShellPicture(const ShellTextureScene& scene, const PictureStage& stage, const ShellLight& light,
-               const ShellTextureSettings& settings)
-      : scene_(scene), stage_(stage), light_(light), settings_(settings), readers_([&light] {
-          return ShellLight::Reader(light);
-        }) {
-    normals_[0] = vertex_normals(scene.object.mesh());
-    if (scene.object.free_space().face_count() > 0) normals_[1] = vertex_normals(scene.object.free_space());
+  ShellPicture(const ShellTextureScene& scene, const PictureStage& stage, const VertexMatrix& free_space_normals,
+               const ShellLight& light, const ShellTextureSettings& settings)
+      : scene_(scene),
+        stage_(stage),
+        light_(light),
+        settings_(settings),
+        normals_{&scene.frames.normals, &free_space_normals},
+        readers_([&light] { return ShellLight::Reader(light); }) {}
+
+  // The meeting with a surface that has nothing before it: for objects without free space.
+  Crossing entrance(Sight& sight, const SceneGeometry::Hit& hit, Vec3& normal) const {
+    Crossing crossing{SurfaceKind::outer, hit.face_index, hit.barycentric, hit.distance, hit.point, hit.normal};
+    sight.inside[0] = true;
+    sight.point = hit.point;
+    normal = shading_normal(crossing, sight.direction);
+    return crossing;
   }
 
   // The first meeting with matter along a ray of sight from outside; false where it passes by.
@@ -226,7 +237,7 @@ class ShellPicture {
     const Vec3 face = towards(crossing.normal, direction);
     Vec3 normal = Vec3::Zero();
     for (int k = 0; k < 3; ++k)
-      normal += crossing.barycentric[k] * normals_[surface].row(mesh.faces(crossing.face_index, k)).transpose();
+      normal += crossing.barycentric[k] * normals_[surface]->row(mesh.faces(crossing.face_index, k)).transpose();
     const double length = normal.norm();
     if (!(length > 1e-6)) return face;
     normal /= length;
@@ -291,7 +302,7 @@ class ShellPicture {
   const PictureStage& stage_;
   const ShellLight& light_;
   const ShellTextureSettings& settings_;
-  VertexMatrix normals_[2];  // by SurfaceKind
+  const VertexMatrix* normals_[2];  // by SurfaceKind
   mutable oneapi::tbb::enumerable_thread_specific<ShellLight::Reader> readers_;
   mutable std::atomic<std::int64_t> marches_{0}, march_steps_{0};
 };
@@ -301,7 +312,15 @@ class ShellPicture {
 RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::vector<Light>& lights,
                                    const Camera& camera, const ShellTextureSettings& settings,
                                    ShellTextureStatistics* statistics, Progress& progress) {
-  PictureStage stage(scene.frames.mesh, lights, camera, settings.render);
+  const TriangleMesh& free_space = scene.object.free_space();
+  const bool has_free_space = free_space.face_count() > 0;
+  std::optional<PictureStage> made_stage;
+  VertexMatrix free_space_normals;
+  together([&] { made_stage.emplace(scene.frames.mesh, scene.frames.normals, lights, camera, settings.render); },
+           [&] {
+             if (has_free_space) free_space_normals = vertex_normals(free_space);
+           });
+  PictureStage& stage = *made_stage;
   for (const Light& light : lights)
     if (const std::optional<Vec3> place = light_position(light); place && stage.geometry.contains(*place))
       throw InputError("lights: a light stands inside the object");
@@ -314,7 +333,7 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
                            kernels.empty() ? std::vector<Vec3f>() : band_responses(scene.texture, false));
   const ShellLight light(scene.shell, scene.frames, spread, scene.texture, scene.core,
                          {settings.outside_light, settings.core_light}, scene.curvature, scene.shape);
-  const ShellPicture picture(scene, stage, light, settings);
+  const ShellPicture picture(scene, stage, free_space_normals, light, settings);
   const auto from_camera = [&](const Vec3& origin, const Vec3& direction) {
     LightPath path{PathRandom(0, 0)};
     path.point = origin;
@@ -322,11 +341,13 @@ RenderedImage render_shell_texture(const ShellTextureScene& scene, const std::ve
     return Sight{origin, direction, path.inside};
   };
   const Sight camera_sight = from_camera(stage.rays.origin(), Vec3(0, 0, 1));
-  auto shade = [&](const PictureStage::Hit&, const Vec3& direction, FilmSample& sample, const auto& backdrop) {
+  auto shade = [&](const PictureStage::Hit& hit, const Vec3& direction, FilmSample& sample, const auto& backdrop) {
     Sight sight{stage.rays.origin(), direction, camera_sight.inside};
     Crossing crossing;
     Vec3 normal;
-    if (!picture.first_meeting(sight, crossing, normal)) {
+    if (!has_free_space && hit.normal.dot(direction) < 0) {
+      crossing = picture.entrance(sight, hit, normal);
+    } else if (!picture.first_meeting(sight, crossing, normal)) {
       sample.hit = false;
       if (settings.outside_light) sample.backdrop = backdrop(stage.rays.origin(), direction);
       return;

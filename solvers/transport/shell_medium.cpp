@@ -38,7 +38,8 @@ std::vector<Vec3i> neighbours() {
 // Where each voxel's matter comes from: a voxel of the shell (leaf · 512 + offset), the core, or it is free space.
 class Sources {
  public:
-  Sources(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside)
+  // space_alone: nobody asks for the matter.
+  Sources(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside, bool space_alone = false)
       : shell_(shell),
         inside_(inside),
         grid_(shell.extinction.lower_leaf() - Vec3i::Ones(), shell.extinction.leaf_counts() + 2 * Vec3i::Ones(),
@@ -48,7 +49,7 @@ class Sources {
     add_outer_layer();
     if (free_.empty()) return;
     add_space_above();
-    give_space_matter();
+    if (!space_alone) give_space_matter();
   }
 
   const TwoLevelGrid<std::int32_t>& grid() const { return grid_; }
@@ -109,22 +110,17 @@ class Sources {
   // A second layer of free voxels above those beyond the surface: nobody's matter, but space.
   void add_space_above() {
     const bool thin = shell_.thickness / shell_.frame.voxel < 4;
-    std::vector<Vec3i> above;
+    TwoLevelGrid<char> seen(grid_.lower_leaf() - Vec3i::Ones(), grid_.leaf_counts() + 2 * Vec3i::Ones(), 0);
     for (const Vec3i& v : outer_free_)
       for (const Vec3i& offset : around_) {
         const Vec3i n = v + offset;
-        if (known(n) || in_shell(n)) continue;
-        bool touches_shell = false;
+        if (known(n) || in_shell(n) || seen.is_active(n.x(), n.y(), n.z())) continue;
+        seen.set(n.x(), n.y(), n.z(), 1);
+        bool touches_shell = thin;
         for (const Vec3i& back : around_) touches_shell = touches_shell || in_shell(n + back);
-        if ((touches_shell || thin) && inside_(shell_.frame.to_world(n))) continue;
-        above.push_back(n);
+        if (touches_shell && inside_(shell_.frame.to_world(n))) continue;
+        free_.push_back(n);
       }
-    const auto before = [](const Vec3i& a, const Vec3i& b) {
-      return std::tuple(a.x(), a.y(), a.z()) < std::tuple(b.x(), b.y(), b.z());
-    };
-    std::sort(above.begin(), above.end(), before);
-    above.erase(std::unique(above.begin(), above.end()), above.end());
-    free_.insert(free_.end(), above.begin(), above.end());
   }
 
   // The surface of free space cuts through voxels: what lies on its other side in a free one is the neighbour's.
@@ -207,7 +203,7 @@ void check_shell_materials(const ShellVolume& shell) {
 std::vector<Vec3i> free_voxels_of(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside) {
   bool any = false;
   shell.kind.for_each_active([&](int, int, int, std::int32_t kind) { any = any || kind == 0; });
-  return any ? Sources(shell, inside).free_voxels() : std::vector<Vec3i>();
+  return any ? Sources(shell, inside, true).free_voxels() : std::vector<Vec3i>();
 }
 
 ShellMedium::ShellMedium(const ShellVolume& shell, const std::function<bool(const Vec3&)>& inside,

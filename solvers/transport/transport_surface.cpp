@@ -14,12 +14,14 @@ namespace {
 
 constexpr double relative_tolerance = 3e-7;
 
-struct Facet {
-  Vec3 a, ab, ac, normal;  // unit, or zero where the face has no area
-};
-
+// Where a mesh's numbers are: they stay there when it is moved.
 struct Shape {
-  std::vector<Facet> facets;
+  const double* vertices = nullptr;
+  const std::int32_t* faces = nullptr;
+  Vec3 corner(unsigned face, int k) const {
+    return Eigen::Map<const Vec3>(vertices +
+                                  3 * static_cast<std::size_t>(faces[3 * static_cast<std::size_t>(face) + k]));
+  }
 };
 
 // What a query tells the filter.
@@ -52,12 +54,8 @@ struct TransportSurface::Impl {
   void attach(const TriangleMesh& mesh, unsigned id) {
     embree.attach(mesh, id, keep_crossings);
     for (int v = 0; v < mesh.vertex_count(); ++v) radius = std::max(radius, (mesh.vertex(v) - embree.centre()).norm());
-    shapes[id].facets.reserve(static_cast<std::size_t>(mesh.face_count()));
-    for (int f = 0; f < mesh.face_count(); ++f) {
-      const Vec3 a = mesh.corner(f, 0), ab = mesh.corner(f, 1) - a, ac = mesh.corner(f, 2) - a, area = ab.cross(ac);
-      const double length = area.norm();
-      shapes[id].facets.push_back({a, ab, ac, length > 0 ? Vec3(area / length) : Vec3::Zero()});
-    }
+    static_assert(VertexMatrix::IsRowMajor && FaceMatrix::IsRowMajor);
+    shapes[id] = {mesh.vertices.data(), mesh.faces.data()};
   }
 };
 
@@ -110,9 +108,12 @@ bool TransportSurface::next(const Vec3& origin, const Vec3& direction, double li
   const double u = std::clamp(static_cast<double>(query.hit.u), 0.0, 1.0);
   const double v = std::clamp(static_cast<double>(query.hit.v), 0.0, 1.0 - u);
   crossing.barycentric = Vec3(1 - u - v, u, v);
-  const Facet& facet = impl.shapes[query.hit.geomID].facets[query.hit.primID];
-  crossing.point = facet.a + u * facet.ab + v * facet.ac;
-  crossing.normal = facet.normal;
+  const Shape& shape = impl.shapes[query.hit.geomID];
+  const Vec3 a = shape.corner(query.hit.primID, 0), ab = shape.corner(query.hit.primID, 1) - a,
+             ac = shape.corner(query.hit.primID, 2) - a, area = ab.cross(ac);
+  const double length = area.norm();
+  crossing.point = a + u * ab + v * ac;
+  crossing.normal = length > 0 ? Vec3(area / length) : Vec3::Zero();
   crossing.distance = std::max(0.0, (crossing.point - origin).dot(direction));
   return true;
 }

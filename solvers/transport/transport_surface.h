@@ -27,6 +27,7 @@ struct Crossing {
 class TransportSurface {
  public:
   // Throws: InputError if the outer mesh has no faces or a coordinate is not finite. `free_space` may have none.
+  // The meshes' numbers must stay where they are, as they do when a mesh is moved.
   TransportSurface(const TriangleMesh& outer, const TriangleMesh& free_space);
   ~TransportSurface();
   TransportSurface(TransportSurface&&) noexcept;

@@ -7,6 +7,8 @@
 #include <cmath>
 #include <map>
 #include <numbers>
+#include <set>
+#include <tuple>
 
 #include "meshing/core/random.h"
 
@@ -53,6 +55,48 @@ TEST(VoxelBoundary, BallIsSmoothAndKeepsItsVolume) {
     turned += n.norm() / 2 * std::acos(std::min(1.0, n.normalized().dot(out)));
   }
   EXPECT_LT(turned / area, 0.15);  // radians; of a staircase 0.5
+}
+
+// One quad for each face of a voxel beside one that does not belong, and one vertex in each cell of both kinds.
+TEST(VoxelBoundary, HasAllFacesWhereverTheVoxelsLie) {
+  RandomStream random(9);
+  std::set<std::tuple<int, int, int>> members;
+  std::vector<Vec3i> voxels;
+  for (int n = 0; n < 4000; ++n) {
+    const Vec3i v = (Vec3(random.next(), random.next(), random.next()) * 40 - Vec3::Constant(20)).cast<int>();
+    if (members.insert({v.x(), v.y(), v.z()}).second) voxels.push_back(v);
+  }
+  voxels.emplace_back(300, -200, 77);  // far from all others
+  members.insert({300, -200, 77});
+  int faces = 0;
+  std::set<std::tuple<int, int, int>> cells;
+  for (const Vec3i& v : voxels)
+    for (int axis = 0; axis < 3; ++axis)
+      for (const int side : {-1, 1}) {
+        Vec3i next = v;
+        next[axis] += side;
+        if (members.contains({next.x(), next.y(), next.z()})) continue;
+        ++faces;
+        for (int k = 0; k < 4; ++k) {
+          Vec3i cell = v;
+          cell[axis] -= side < 0;
+          cell[(axis + 1) % 3] -= k & 1;
+          cell[(axis + 2) % 3] -= k >> 1;
+          cells.insert({cell.x(), cell.y(), cell.z()});
+        }
+      }
+  const TriangleMesh mesh = voxel_boundary(GridFrame(), voxels);
+  EXPECT_EQ(mesh.face_count(), 2 * faces);
+  EXPECT_EQ(mesh.vertex_count(), static_cast<int>(cells.size()));
+  expect_closed(mesh);
+  std::set<std::tuple<int, int, int>> found;
+  for (int i = 0; i < mesh.vertex_count(); ++i) {
+    const Vec3 at = mesh.vertex(i);
+    found.insert({static_cast<int>(std::floor(at.x())), static_cast<int>(std::floor(at.y())),
+                  static_cast<int>(std::floor(at.z()))});
+  }
+  EXPECT_EQ(found, cells);  // each in its cell
+  EXPECT_GT(volume(mesh), 0);
 }
 
 TEST(VoxelBoundary, AnySetIsClosedAndSingleVoxelsStay) {
