@@ -14,8 +14,8 @@ namespace shellgrid {
 inline constexpr const char* samples_note = "sample_xxh64";  // of the samples' files, in their order
 inline constexpr const char* shell_note = "shell_xxh64";     // of shell.vdb
 inline constexpr const char* lights_note = "lights";         // see hash_lights
-inline constexpr const char* shape_note = "shape";           // body or bends: whether the core's ratios count bends too
-inline constexpr const char* flat_note = "flat";             // yes or no: whether the core was taken as flat
+inline constexpr const char* shape_note = "shape";  // body, bends or flat: of body the core's ratios count bends, too
+inline constexpr const char* flat_note = "flat";    // yes or no: whether the core was taken as flat
 
 // What a file tells under a key; empty where it tells nothing.
 std::string note_of(const std::map<std::string, std::string>& notes, const std::string& key);

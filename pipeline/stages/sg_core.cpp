@@ -106,62 +106,70 @@ struct CoreShine {
   std::string account;
 };
 
-// The dipole's core as dipole_shine has it.
-FlatCore flat_core(const TexturedFrames& frames, const ShellVolume& shell, double ior, bool paper,
-                   const CoreExchangeOptions& given) {
-  const auto channels = core_dipoles(shell.core, ior, paper);
-  FlatCore core;
-  for (int c = 0; c < 3; ++c) core.total[c] = static_cast<float>(channels[c].total());
-  core.exitance = [&frames, &given, channels, paper, thickness = shell.thickness](CoreSurface& surface) {
-    CoreExchangeOptions options = given;
-    if (options.bounces == 0) surface.shell_reflection.clear();
-    double area = 0;
-    for (const float a : surface.areas) area += static_cast<double>(a);
-    const double radius =
-        std::sqrt(area / std::max<double>(1, static_cast<double>(surface.points.size())) / std::numbers::pi);
-    const double size = core_size(frames, surface, thickness);
+// The dipole between a core's points.
+struct CoreDipole {
+  std::array<Dipole, 3> channels;
+  bool paper = false;
+
+  CoreDipole(const ShellVolume& shell, double ior, bool as_paper)
+      : channels(core_dipoles(shell.core, ior, as_paper)), paper(as_paper) {}
+
+  // size: of the core, 3 V/A, mm; 0: it returns what a half-space does.
+  CoreExchangeOptions options(CoreExchangeOptions given, double size) const {
     if (!paper)
       for (int c = 0; c < 3; ++c)
-        options.returned[c] = channels[c].total() * (size > 0 ? body_return(channels[c], size) : 1);
-    std::vector<Rgb> exitance = exchange_core_light(surface, dipole_profile(channels, radius), options).exitance;
+        given.returned[c] = channels[c].total() * (size > 0 ? body_return(channels[c], size) : 1);
+    return given;
+  }
+  // Of so many points that share the core's area.
+  RadialProfile profile(const CoreSurface& core, std::size_t points) const {
+    double area = 0;
+    for (const float a : core.areas) area += static_cast<double>(a);
+    return dipole_profile(channels,
+                          std::sqrt(area / std::max<double>(1, static_cast<double>(points)) / std::numbers::pi));
+  }
+};
+
+// The core as dipole_shine has it.
+FlatCore flat_core(const TexturedFrames& frames, const CoreDipole& dipole, double thickness,
+                   const CoreExchangeOptions& options) {
+  FlatCore core;
+  for (int c = 0; c < 3; ++c) core.total[c] = static_cast<float>(dipole.channels[c].total());
+  core.exitance = [&frames, &options, &dipole, thickness](CoreSurface& surface) {
+    if (options.bounces == 0) surface.shell_reflection.clear();
+    std::vector<Rgb> exitance = exchange_core_light(surface, dipole.profile(surface, surface.points.size()),
+                                                    dipole.options(options, core_size(frames, surface, thickness)))
+                                    .exitance;
     spread_over_edges(surface, 2 * thickness, exitance);
     return exitance;
   };
   return core;
 }
 
-// size: of the core, 3 V/A, mm; 0: it returns what a half-space does.
+// size: as CoreDipole has it.
 CoreShine dipole_shine(CoreSurface& core, const TexturedFrames& frames, const VertexBuckets* pieces,
-                       const ShellVolume& shell, double ior, bool paper, double size, CoreExchangeOptions options,
+                       const CoreDipole& dipole, double thickness, double size, const CoreExchangeOptions& given,
                        StageRun& run) {
-  if (options.bounces == 0) core.shell_reflection.clear();
-  const auto channels = core_dipoles(shell.core, ior, paper);
-  double area = 0;
-  for (const float a : core.areas) area += static_cast<double>(a);
-  const double radius =
-      std::sqrt(area / std::max<double>(1, static_cast<double>(core.points.size())) / std::numbers::pi);
-  if (!paper)
-    for (int c = 0; c < 3; ++c)
-      options.returned[c] = channels[c].total() * (size > 0 ? body_return(channels[c], size) : 1);
+  if (given.bounces == 0) core.shell_reflection.clear();
+  CoreExchangeOptions options = dipole.options(given, size);
   CoarserCore coarser;
   std::optional<RadialProfile> coarser_profile;
   std::optional<VertexBuckets> larger;
   if (pieces && options.bounces > 0) {
     larger.emplace(frames, vertex_areas(frames.mesh), 2 * pieces->edge());
     coarser.surface = merged(core, *pieces, *larger);
-    coarser_profile.emplace(dipole_profile(
-        channels, std::sqrt(area / std::max<double>(1, static_cast<double>(larger->count())) / std::numbers::pi)));
+    coarser_profile.emplace(dipole.profile(core, static_cast<std::size_t>(larger->count())));
     coarser.profile = &*coarser_profile;
     coarser.at_points = [&](const std::vector<Rgb>& values) { return at_pieces(*larger, *pieces, values); };
     options.coarser = &coarser;
   }
-  CoreExchange exchange = exchange_core_light(core, dipole_profile(channels, radius), options);
+  CoreExchange exchange = exchange_core_light(core, dipole.profile(core, core.points.size()), options);
   if (exchange.greatest_return > 1.5)
     run.progress().warn(
         fmt::format("the core is thin or folded: by the dipole it would return up to {:.1f} times its light there, "
                     "and was held to it; a thinner shell leaves more of a core",
                     exchange.greatest_return));
-  spread_over_edges(core, 2 * shell.thickness, exchange.exitance);
+  spread_over_edges(core, 2 * thickness, exchange.exitance);
   CoreShine shine;
   shine.irradiance.assign(core.points.size(), Rgb::Zero());
   for (std::size_t i = 0; i < shine.irradiance.size(); ++i)
@@ -169,9 +177,12 @@ CoreShine dipole_shine(CoreSurface& core, const TexturedFrames& frames, const Ve
   shine.exitance = std::move(exchange.exitance);
   const double pairs = static_cast<double>(core.points.size()) * static_cast<double>(core.points.size());
   const auto evaluations = static_cast<double>(exchange.evaluations);
-  shine.results = {{"model", paper ? "paper" : "dipole"},    {"bounces", exchange.bounces},
-                   {"residual", exchange.residual},          {"greatest_return", exchange.greatest_return},
-                   {"evaluations", exchange.evaluations},    {"pairs", pairs},
+  shine.results = {{"model", dipole.paper ? "paper" : "dipole"},
+                   {"bounces", exchange.bounces},
+                   {"residual", exchange.residual},
+                   {"greatest_return", exchange.greatest_return},
+                   {"evaluations", exchange.evaluations},
+                   {"pairs", pairs},
                    {"tree_bytes", exchange.statistics.bytes}};
   shine.account = fmt::format("{} bounces, {:.3g} of all pairs evaluated", exchange.bounces, evaluations / pairs);
   return shine;
@@ -281,12 +292,13 @@ int main(int argc, char** argv) {
     const double edge = fluence_path.empty() && piece > 0 ? piece * clearness(shell) * shell.thickness : 0;
     std::optional<VertexBuckets> pieces;
     if (edge > 0) pieces.emplace(frames, vertex_areas(surface.mesh), edge);
+    const CoreDipole dipole(shell, ior, model == "paper");
     BodyShape body;
     shaping.diffusion = shape == "body" && fluence_path.empty();
     shaping.returns = !no_interreflection;
     if (!flat)
       body = body_shape(frames, geometry, shell, ior, spread, texture->directions(),
-                        flat_core(frames, shell, ior, model == "paper", options), shaping);
+                        flat_core(frames, dipole, shell.thickness, options), shaping);
     std::optional<ShellCurvature> curvature;
     if (!flat && !body.whole) curvature.emplace(frames, shell, ior);
     CoreSurface core = core_surface(frames, spread, *texture, surface.coordinate, shell.thickness,
@@ -294,7 +306,7 @@ int main(int argc, char** argv) {
     run.start_timer("exchange");
     CoreShine shine =
         fluence_path.empty()
-            ? dipole_shine(core, frames, pieces ? &*pieces : nullptr, shell, ior, model == "paper",
+            ? dipole_shine(core, frames, pieces ? &*pieces : nullptr, dipole, shell.thickness,
                            flat ? 0 : core_size(frames, core, shell.thickness), options, run)
             : diffusion_shine(core, shell, frames,
                               read_fluence_field(fluence_path, surface.mesh, mesh_path, shell_path, scene));
@@ -306,6 +318,7 @@ int main(int argc, char** argv) {
     }
 
     run.start_timer("write");
+    const std::string shape_taken = flat ? "flat" : body.whole ? "body" : "bends";
     TriangleMesh below = surface.mesh;
     below.vertices -= shell.thickness * frames.normals;
     AttributedMesh written = exitance_mesh(below, shine.exitance, shine.irradiance);
@@ -315,11 +328,11 @@ int main(int argc, char** argv) {
                {shell_note, hash_files({shell_path})},
                {lights_note, hash_lights(scene.lights)},
                {flat_note, flat ? "yes" : "no"},
-               {shape_note, body.whole ? "body" : "bends"}});
+               {shape_note, shape_taken}});
     Eigen::Array3d entering = Eigen::Array3d::Zero();
     for (const Rgb& one : core.power) entering += one.cast<double>();
     run.results() = shine.results;
-    run.results()["shape"] = flat ? "flat" : body.whole ? "body" : "bends";
+    run.results()["shape"] = shape_taken;
     if (body.whole)
       run.results()["body"] = {{"spacing", body.spacing}, {"cells", body.cells}, {"iterations", body.iterations}};
     run.results()["vertices"] = surface.mesh.vertex_count();

@@ -79,15 +79,6 @@ CoreSurface bare_core(const TexturedFrames& frames, double thickness, const Vert
   return surface;
 }
 
-int vertex_in_middle(const TriangleMesh& mesh, const std::vector<int>& members) {
-  Vec3 middle = Vec3::Zero();
-  for (const int v : members) middle += mesh.vertex(v);
-  middle /= static_cast<double>(members.size());
-  return *std::min_element(members.begin(), members.end(), [&](int a, int b) {
-    return (mesh.vertex(a) - middle).squaredNorm() < (mesh.vertex(b) - middle).squaredNorm();
-  });
-}
-
 CoreSurface core_surface(const TexturedFrames& frames, const SpreadLight& light, const ShellTextureLookup& texture,
                          const std::vector<Vec2f>& coordinates, double thickness, const VertexBuckets* pieces,
                          const ShellCurvature* curvature) {

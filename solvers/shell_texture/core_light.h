@@ -19,9 +19,6 @@ std::vector<float> core_areas(const TexturedFrames& frames, double thickness);
 // core_surface.
 CoreSurface bare_core(const TexturedFrames& frames, double thickness, const VertexBuckets* pieces = nullptr);
 
-// Of some vertices the one nearest to the middle of all.
-int vertex_in_middle(const TriangleMesh& mesh, const std::vector<int>& members);
-
 // The core's surface, `thickness` mm below the mesh, point by point below its vertices. What passes down through the
 // sample's bottom where it stands there falls on it, per area of the core: so within a white object in even light there
 // is even light, whatever its curvature. Source: [STF §7 step 1].

@@ -29,28 +29,13 @@ SharedVisibility::SharedVisibility(const TexturedFrames& frames, const SceneGeom
   if (static_cast<std::size_t>(cells.count()) * 4 > areas.size()) return;
   cells_ = std::move(cells);
   const auto count = static_cast<std::size_t>(cells_.count());
-  samples_.known = std::vector<std::atomic<const Sample*>>(count);
-  agreed_.known = std::vector<std::atomic<const Agreed*>>(count);
-}
-
-template <class T, class Make>
-const T& SharedVisibility::get(const Lazy<T>& of, int cell, const Make& make) const {
-  if (const T* found = of.known[cell].load(std::memory_order_acquire)) return *found;
-  auto made = std::make_unique<const T>(make());
-  const std::lock_guard lock(mutex_);
-  if (const T* found = of.known[cell].load(std::memory_order_acquire)) return *found;
-  of.owned.push_back(std::move(made));
-  of.known[cell].store(of.owned.back().get(), std::memory_order_release);
-  return *of.owned.back();
+  samples_.resize(count);
+  agreed_.resize(count);
 }
 
 const SharedVisibility::Sample& SharedVisibility::sample(int cell) const {
-  return get(samples_, cell, [&] {
-    const VertexBuckets::Bucket& bucket = cells_[cell];
-    const int vertex = *std::min_element(bucket.members.begin(), bucket.members.end(), [&](int a, int b) {
-      return (frames_.mesh.vertex(a) - bucket.middle).squaredNorm() <
-             (frames_.mesh.vertex(b) - bucket.middle).squaredNorm();
-    });
+  return samples_.get(cell, [&] {
+    const int vertex = vertex_in_middle(frames_.mesh, cells_[cell].members);
     const Vec3 normal = frames_.normals.row(vertex).transpose();
     const Vec3 origin = frames_.mesh.vertex(vertex) + geometry_.offset() * normal;
     Sample made;
@@ -76,7 +61,7 @@ const SharedVisibility::Sample& SharedVisibility::sample(int cell) const {
 const SharedVisibility::Agreed* SharedVisibility::about(int vertex) const {
   if (cells_.count() == 0) return nullptr;
   const int own = cells_.of_vertex(vertex);
-  return &get(agreed_, own, [&] {
+  return &agreed_.get(own, [&] {
     const VertexBuckets::Bucket& bucket = cells_[own];
     std::vector<const Sample*> samples;
     cells_.visit_about(bucket.middle, 1, [&](int other) {

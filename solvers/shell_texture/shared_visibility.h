@@ -4,10 +4,10 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <vector>
 
 #include "solvers/render/scene_geometry.h"
+#include "solvers/shell_texture/lazy_list.h"
 #include "solvers/shell_texture/vertex_buckets.h"
 
 namespace shellgrid {
@@ -37,22 +37,14 @@ class SharedVisibility {
   struct Sample {
     std::vector<std::uint64_t> seen, hidden;
   };
-  template <class T>
-  struct Lazy {
-    mutable std::vector<std::atomic<const T*>> known;
-    mutable std::vector<std::unique_ptr<const T>> owned;
-  };
-  template <class T, class Make>
-  const T& get(const Lazy<T>& of, int cell, const Make& make) const;
   const Sample& sample(int cell) const;
 
   TexturedFrames frames_;
   const SceneGeometry& geometry_;
   std::vector<Vec3> lights_;
   VertexBuckets cells_;
-  Lazy<Sample> samples_;
-  Lazy<Agreed> agreed_;
-  mutable std::mutex mutex_;
+  LazyList<Sample> samples_;
+  LazyList<Agreed> agreed_;
   mutable std::atomic<std::int64_t> shadow_rays_{0};
 };
 

@@ -33,9 +33,9 @@ ShellLight::ShellLight(const ShellVolume& shell, const TexturedFrames& frames, c
       curvature_(curvature),
       shape_(shape),
       relative_ior_(shell.ior),
-      vertices_(frames.mesh.vertices),
-      leaves_(static_cast<std::size_t>(shell.texture_coordinate.leaf_count())),
-      lights_(static_cast<std::size_t>(frames.mesh.vertex_count())) {
+      vertices_(frames.mesh.vertices) {
+  leaves_.resize(static_cast<std::size_t>(shell.texture_coordinate.leaf_count()));
+  lights_.resize(static_cast<std::size_t>(frames.mesh.vertex_count()));
   if (!core.empty() && core.size() != lights_.size())
     throw InputError("the core's exitance does not have the surface's size");
   if (!shape.ratios.empty() && shape.ratios.size() != lights_.size())
@@ -52,20 +52,7 @@ ShellLight::ShellLight(const ShellVolume& shell, const TexturedFrames& frames, c
 }
 
 ShellLight::Counts ShellLight::counts() const {
-  return {voxels_, static_cast<std::int64_t>(owned_.size()), lit_vertices_};
-}
-
-ShellLight::Leaf& ShellLight::leaf(int leaf_index) const {
-  Leaf* found = leaves_[leaf_index].load(std::memory_order_acquire);
-  if (found) return *found;
-  const std::lock_guard lock(mutex_);
-  found = leaves_[leaf_index].load(std::memory_order_acquire);
-  if (!found) {
-    owned_.push_back(std::make_unique<Leaf>());
-    found = owned_.back().get();
-    leaves_[leaf_index].store(found, std::memory_order_release);
-  }
-  return *found;
+  return {voxels_, static_cast<std::int64_t>(leaves_.made()), static_cast<std::int64_t>(lights_.made())};
 }
 
 Vec3 ShellLight::refracted_direction(int direction) const {
@@ -130,30 +117,26 @@ Vec3f ShellLight::between(const SurfacePlace& place, const VertexLight& own, con
 }
 
 const ShellLight::VertexLight& ShellLight::light_at(int vertex) const {
-  if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
-  auto made = std::make_unique<VertexLight>();
-  made->light = prepared(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
-  if (parts_.outside) {
-    SpreadLight::Bands bands = incident_.spread(vertex);
-    made->own = std::move(bands.own);
-    made->strength = std::move(bands.strength);
-    made->spread.reserve(bands.list.size());
-    for (std::vector<DirectionWeight>& band : bands.list) made->spread.push_back(prepared(std::move(band)));
-  }
-  double sum = 0, weights = 0;
-  for (const DirectionWeight& one : made->light.light.list) {
-    const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();
-    sum += weight / (1 + 1 / refracted_direction(one.direction).z());
-    weights += weight;
-  }
-  // That of one beam which scatters as much back, straight up, as all these do.
-  if (weights > 0) made->way = static_cast<float>(weights / sum - 1);
-  const std::lock_guard lock(mutex_);
-  if (const VertexLight* found = lights_[vertex].load(std::memory_order_acquire)) return *found;
-  owned_lights_.push_back(std::move(made));
-  lights_[vertex].store(owned_lights_.back().get(), std::memory_order_release);
-  ++lit_vertices_;
-  return *owned_lights_.back();
+  return lights_.get(vertex, [&] {
+    VertexLight made;
+    made.light = prepared(parts_.outside ? incident_.at(vertex) : std::vector<DirectionWeight>());
+    if (parts_.outside) {
+      SpreadLight::Bands bands = incident_.spread(vertex);
+      made.own = std::move(bands.own);
+      made.strength = std::move(bands.strength);
+      made.spread.reserve(bands.list.size());
+      for (std::vector<DirectionWeight>& band : bands.list) made.spread.push_back(prepared(std::move(band)));
+    }
+    double sum = 0, weights = 0;
+    for (const DirectionWeight& one : made.light.light.list) {
+      const double weight = static_cast<double>(one.weight.sum()) * texture_.directions().direction(one.direction).z();
+      sum += weight / (1 + 1 / refracted_direction(one.direction).z());
+      weights += weight;
+    }
+    // That of one beam which scatters as much back, straight up, as all these do.
+    if (weights > 0) made.way = static_cast<float>(weights / sum - 1);
+    return made;
+  });
 }
 
 std::size_t ShellLight::sample_voxel(const Vec3f& place, float& outwards) const {
@@ -254,7 +237,7 @@ const ShellLight::Reader::Found& ShellLight::Reader::find_leaf(const Vec3i& leaf
   if (leaf_at != found.at) {
     found.at = leaf_at;
     found.index = light_.shell_.texture_coordinate.find_leaf(leaf_at);
-    found.leaf = found.index < 0 ? nullptr : &light_.leaf(found.index);
+    found.leaf = found.index < 0 ? nullptr : &light_.leaves_.get(found.index, [] { return Leaf(); });
   }
   return found;
 }

@@ -6,12 +6,12 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
-#include <mutex>
 #include <vector>
 
 #include "meshing/shell/shell_volume.h"
 #include "meshing/surface/closest_point.h"
 #include "solvers/shell_texture/body_shape.h"
+#include "solvers/shell_texture/lazy_list.h"
 #include "solvers/shell_texture/shell_curvature.h"
 #include "solvers/shell_texture/spread_light.h"
 
@@ -57,9 +57,9 @@ class ShellLight {
   struct Leaf {
     Leaf() {}  // values stay as the memory has them
     // φ of scattered light and the core's, W mm⁻²; in the last lane 1 where there is matter, else all 0.
-    std::array<Float4, leaf_size> multiple;
-    std::array<Beams, leaf_size> beams;
-    std::array<std::atomic<std::uint8_t>, leaf_size> flags = {};
+    mutable std::array<Float4, leaf_size> multiple;
+    mutable std::array<Beams, leaf_size> beams;
+    mutable std::array<std::atomic<std::uint8_t>, leaf_size> flags = {};
   };
 
  public:
@@ -82,7 +82,7 @@ class ShellLight {
     struct Found {
       Vec3i at = Vec3i::Constant(std::numeric_limits<int>::min());
       int index = -1;
-      Leaf* leaf = nullptr;
+      const Leaf* leaf = nullptr;
     };
     const Found& find_leaf(const Vec3i& leaf_at);
     // The voxel's light is there then.
@@ -103,7 +103,6 @@ class ShellLight {
   // multiple: with its last lane.
   void work_out(int leaf_index, int offset, const Vec3i& voxel, ShellTextureReader& texture, int& vertex,
                 Float4& multiple, Beams& beams) const;
-  Leaf& leaf(int leaf_index) const;
   struct SurfaceLight {
     PreparedLight light;
     Vec3f irradiance = Vec3f::Zero();
@@ -158,12 +157,9 @@ class ShellLight {
   double relative_ior_;
   NearestVertexQuery vertices_;
   std::vector<int> first_face_, faces_about_;  // of vertices: of vertex v from first_face_[v] on
-  mutable std::vector<std::atomic<Leaf*>> leaves_;
-  mutable std::vector<std::unique_ptr<Leaf>> owned_;
-  mutable std::mutex mutex_;
-  mutable std::vector<std::atomic<const VertexLight*>> lights_;  // of vertices
-  mutable std::vector<std::unique_ptr<const VertexLight>> owned_lights_;
-  mutable std::atomic<std::int64_t> voxels_{0}, lit_vertices_{0};
+  LazyList<Leaf> leaves_;
+  LazyList<VertexLight> lights_;  // of vertices
+  mutable std::atomic<std::int64_t> voxels_{0};
 };
 
 }  // namespace shellgrid

@@ -52,18 +52,6 @@ IrradianceKernels corrected_by(const IrradianceKernels& kernels, IrradianceCorre
   return correction == IrradianceCorrection::one_kernel ? kernels.merged() : kernels;
 }
 
-template <class T>
-template <class Make>
-const T& SpreadLight::Lazy<T>::get(int index, const Make& make) const {
-  if (const T* found = known[index].load(std::memory_order_acquire)) return *found;
-  auto made = std::make_unique<const T>(make());
-  const std::lock_guard lock(mutex);
-  if (const T* found = known[index].load(std::memory_order_acquire)) return *found;
-  owned.push_back(std::move(made));
-  known[index].store(owned.back().get(), std::memory_order_release);
-  return *owned.back();
-}
-
 std::vector<Vec3f> band_responses(const ShellTextureLookup& texture, bool bottom_alone) {
   const IrradianceKernels& kernels = texture.kernels();
   if (kernels.empty()) return {};
@@ -109,7 +97,7 @@ SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels&
     : incident_(incident), kernels_(kernels), sample_(sample), coordinates_(coordinates) {
   const TriangleMesh& mesh = incident.frames().mesh;
   const auto n = static_cast<std::size_t>(mesh.vertex_count());
-  entries_.known = std::vector<std::atomic<const Entry*>>(n);
+  entries_.resize(n);
   if (kernels.empty()) return;
   if (coordinates.size() != n) throw InputError("the surface's texture coordinates do not have its size");
   if (!kernels.is_sound(sample)) throw InputError("the irradiance kernels do not fit the sample");
@@ -143,13 +131,13 @@ SpreadLight::SpreadLight(const IncidentLight& incident, const IrradianceKernels&
     for (int k = 0; k < kernels.count(); ++k)
       if (areas[k] > 0) kernel_areas_[b].emplace_back(k, areas[k]);
   });
-  lit_.known = std::vector<std::atomic<const LitBucket*>>(count);
+  lit_.resize(count);
   for (Reach* reach : {&within_, &bottom_}) {
-    reach->lit.known = std::vector<std::atomic<const LitReach*>>(count);
+    reach->lit.resize(count);
     reach->even = std::vector<std::atomic<std::uint8_t>>(count);
     reach->even_about = std::vector<std::atomic<std::uint8_t>>(count);
   }
-  about_.known = std::vector<std::atomic<const std::vector<int>*>>(count);
+  about_.resize(count);
 }
 
 const SpreadLight::Entry& SpreadLight::entry(int vertex) const {

@@ -4,10 +4,10 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <vector>
 
 #include "solvers/diffusion/channel_lanes.h"
+#include "solvers/shell_texture/lazy_list.h"
 #include "solvers/shell_texture/vertex_buckets.h"
 
 namespace shellgrid {
@@ -95,15 +95,6 @@ class SpreadLight {
     std::vector<Source> sources;
   };
   const LitBucket& lit(int bucket) const;
-  template <class T>
-  struct Lazy {
-    mutable std::vector<std::atomic<const T*>> known;
-    mutable std::vector<std::unique_ptr<const T>> owned;
-    mutable std::mutex mutex;
-    // `make` is called without a lock held: of threads that make the same the first one's is kept.
-    template <class Make>
-    const T& get(int index, const Make& make) const;
-  };
   struct LitReach {
     std::vector<BandKernels::Lanes> responses;  // to a bucket's mean, then to its members
     BandKernels whole;                          // of light all over it, all its area at once
@@ -112,7 +103,7 @@ class SpreadLight {
   struct Reach {
     BandKernels point, whole;
     std::vector<BandKernels::Lanes> response;                                   // at direction · wide
-    Lazy<LitReach> lit = {};                                                    // of buckets
+    LazyList<LitReach> lit = {};                                                // of buckets
     mutable std::vector<std::atomic<std::uint8_t>> even = {}, even_about = {};  // 0 unknown, 1 uneven, 2 even
   };
   const LitReach& lit(int bucket, const Reach& reach) const;
@@ -132,9 +123,9 @@ class SpreadLight {
   std::vector<float> areas_;      // of vertices, mm²
   VertexBuckets buckets_;
   std::vector<std::vector<std::pair<int, float>>> kernel_areas_;  // of buckets: kernels and their areas, mm²
-  Lazy<Entry> entries_;
-  Lazy<LitBucket> lit_;
-  Lazy<std::vector<int>> about_;
+  LazyList<Entry> entries_;
+  LazyList<LitBucket> lit_;
+  LazyList<std::vector<int>> about_;
   mutable std::atomic<std::int64_t> spread_vertices_{0};
 };
 

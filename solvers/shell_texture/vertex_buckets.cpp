@@ -18,6 +18,15 @@ std::vector<float> vertex_areas(const TriangleMesh& mesh) {
   return areas;
 }
 
+int vertex_in_middle(const TriangleMesh& mesh, const std::vector<int>& members) {
+  Vec3 middle = Vec3::Zero();
+  for (const int v : members) middle += mesh.vertex(v);
+  middle /= static_cast<double>(members.size());
+  return *std::min_element(members.begin(), members.end(), [&](int a, int b) {
+    return (mesh.vertex(a) - middle).squaredNorm() < (mesh.vertex(b) - middle).squaredNorm();
+  });
+}
+
 VertexBuckets::VertexBuckets(const TexturedFrames& frames, const std::vector<float>& areas, double edge) : edge_(edge) {
   struct Place {
     std::uint64_t cell;

@@ -14,6 +14,9 @@ namespace shellgrid {
 // A third of the faces about each vertex, mm².
 std::vector<float> vertex_areas(const TriangleMesh& mesh);
 
+// Of some vertices the one nearest to the middle of all.
+int vertex_in_middle(const TriangleMesh& mesh, const std::vector<int>& members);
+
 class VertexBuckets {
  public:
   struct Bucket {
