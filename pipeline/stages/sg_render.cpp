@@ -71,30 +71,27 @@ struct ShellTextureFiles {
   }
 };
 
-// What is in them.
-struct ShellTextureInputs {
-  ShellVolume shell;
-  std::map<std::string, std::string> shell_notes;
-  std::unique_ptr<ShellTextureLookup> texture;
-  std::string sample;
-  AttributedMesh core;
-
-  explicit ShellTextureInputs(const ShellTextureFiles& files) {
-    together([&] { shell = read_shell_volume(files.shell, ShellParts::matter, &shell_notes); },
-             [&] { texture = open_shell_texture(files.texture, ShellTextureParts::all, &sample); },
-             [&] {
-               if (!files.core.empty()) core = read_mesh(files.core);
-             });
-  }
+struct ShellFile {
+  ShellVolume volume;
+  std::map<std::string, std::string> notes;
 };
 
-RenderedImage shell_texture_picture(const ShellTextureFiles& files, ShellTextureInputs inputs,
+RenderedImage shell_texture_picture(const ShellTextureFiles& files, const ShellFile& shell_file,
                                     const std::string& surface_path, const AttributedMesh& surface_file,
                                     const Scene& scene, const RenderSettings& settings, StageRun& run) {
-  const auto& [shell, shell_notes, texture, sample, core_mesh] = inputs;
+  const ShellVolume& shell = shell_file.volume;
   TexturedMesh surface;
+  std::unique_ptr<ShellTextureLookup> texture;
+  std::string sample;
+  AttributedMesh core_mesh;
+  std::optional<TransportObject> object;
   together([&] { require_same_object(shell, files.shell, surface_file.mesh, surface_path, run.progress()); },
-           [&] { surface = detach_texture(surface_file, surface_path); });
+           [&] { surface = detach_texture(surface_file, surface_path); },
+           [&] { texture = open_shell_texture(files.texture, ShellTextureParts::all, &sample); },
+           [&] {
+             if (!files.core.empty()) core_mesh = read_mesh(files.core);
+           },
+           [&] { object.emplace(TransportObject::of_surfaces(surface_file.mesh, shell, scene.object->ior)); });
   if (!surface.sample.empty())
     throw InputError(surface_path + ": it carries several samples; a shell texture function is that of one");
   if (std::abs(shell.ior - scene.object->ior) > 1e-6)
@@ -103,7 +100,7 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, ShellTexture
                     "that of the surface alone",
                     files.shell, shell.ior, scene.object->ior));
   require_same_samples(sample, files.texture, note_of(read_notes(surface_path), samples_note), surface_path);
-  require_same_samples(sample, files.texture, note_of(shell_notes, samples_note), files.shell);
+  require_same_samples(sample, files.texture, note_of(shell_file.notes, samples_note), files.shell);
   if (std::abs(texture->voxel() / shell.frame.voxel - 1) > 1e-3)
     throw InputError(fmt::format("{}: its voxels of {:g} mm are not those of {}, {:g} mm", files.texture,
                                  texture->voxel(), files.shell, shell.frame.voxel));
@@ -126,12 +123,8 @@ RenderedImage shell_texture_picture(const ShellTextureFiles& files, ShellTexture
   }
   run.start_timer("render");
   const TexturedFrames frames{surface.mesh, surface.normals, surface.directions};
-  std::optional<TransportObject> object;
   std::optional<ShellCurvature> curvature;
-  together([&] { object.emplace(TransportObject::of_surfaces(surface.mesh, shell, scene.object->ior)); },
-           [&] {
-             if (!files.flat) curvature.emplace(frames, shell, scene.object->ior);
-           });
+  if (!files.flat) curvature.emplace(frames, shell, scene.object->ior);
   ShellTextureSettings shown{settings};
   shown.outside_light = files.light != "core";
   shown.core_light = files.light != "outside";
@@ -212,10 +205,10 @@ int main(int argc, char** argv) {
     program.refuse_unless(has_extended_light(scene), "a scene with an environment or area light",
                           {"--environment-samples"});
     AttributedMesh surface;
-    std::optional<ShellTextureInputs> inputs;
+    ShellFile shell;
     together([&] { surface = read_mesh(surface_path); },
              [&] {
-               if (files.asked_for()) inputs.emplace(files);
+               if (files.asked_for()) shell.volume = read_shell_volume(files.shell, ShellParts::matter, &shell.notes);
              });
     settings.film.samples_per_pixel = samples > 0 ? samples : scene.method.samples_per_pixel;
     settings.film.seed = run.seed();
@@ -227,8 +220,7 @@ int main(int argc, char** argv) {
     const bool opaque = scene.material && scene.material->opaque;
     if (!opaque && !scene.object) throw InputError(scene_path + ": no object; its ior is needed");
     const auto render = [&] {
-      if (files.asked_for())
-        return shell_texture_picture(files, std::move(*inputs), surface_path, surface, scene, settings, run);
+      if (files.asked_for()) return shell_texture_picture(files, shell, surface_path, surface, scene, settings, run);
       if (opaque)
         return render_surface(surface.mesh, OpaqueSurface{scene.material->opaque->reflectance}, scene.lights,
                               *scene.camera, settings, run.progress());
