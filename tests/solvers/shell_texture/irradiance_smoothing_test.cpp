@@ -41,7 +41,7 @@ Noisy noisy(const Vec3i& size, double relative) {
   Noisy n;
   n.grid = {size, 3, 8, std::vector<float>(static_cast<std::size_t>(size.prod()), 1.0f)};
   std::mt19937 random(7);
-  std::normal_distribution<double> normal(0, relative);
+  std::normal_distribution<double> normal;  // a width of nothing is not allowed there, so `relative` scales it
   std::bernoulli_distribution cut(0.1);
   for (float& w : n.grid.weight)
     if (cut(random)) w = 0.25f;
@@ -50,7 +50,7 @@ Noisy noisy(const Vec3i& size, double relative) {
   const auto drawn = [&] {
     std::vector<float> half = n.truth;
     for (std::size_t k = 0; k < half.size(); ++k)
-      half[k] *= static_cast<float>(1 + normal(random) /
+      half[k] *= static_cast<float>(1 + relative * normal(random) /
                                             std::sqrt(std::max(0.25, static_cast<double>(n.grid.weight[k / 72]))));
     return half;
   };
